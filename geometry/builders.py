@@ -1,0 +1,47 @@
+"""The mesh builders a case can name.
+
+Each builder is a frozen dataclass of options in SI with `build()`, `expected_volume()` and
+`expected_cavity_volumes()`; its fields are the keys of a case's ``[mesh]`` table.
+
+Groups every builder writes
+---------------------------
+Cells: "silicone" and "servo_0", "servo_1", ... carry a material and together are the whole
+mesh; "limit_layer", "main", "assistant" and "turn" overlap them and only help to name places.
+
+Facets: "cavity_*"; "symmetry_x", "symmetry_y"; "end" (x = xmax) and "end_left"; "underside",
+"top"; "side_left", "side_right"; "chamber_faces" (every facet at a gap, its floor included) and
+the same per row, "chamber_faces_main" ...; "chamber_faces_symmetry_x", those at the half gap
+whose other half is the mirror image; "outer", every exterior facet that is neither in a cavity
+nor on a symmetry plane.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from flexapod.geometry.hexapod import CurlBuilder, TurnBuilder
+from flexapod.geometry.pneunet import PneunetBuilder
+from flexapod.geometry.tagged import TaggedMesh
+
+
+class Builder(Protocol):
+    """What a mesh builder offers; its own options are dataclass fields."""
+
+    def build(self) -> TaggedMesh:
+        """Mesh the body with Gmsh."""
+        ...
+
+    def expected_volume(self) -> float:
+        """Closed-form volume of the modelled solid [m3]."""
+        ...
+
+    def expected_cavity_volumes(self) -> dict[str, float]:
+        """Closed-form air volume of each modelled cavity [m3]."""
+        ...
+
+
+BUILDERS: dict[str, type[PneunetBuilder] | type[CurlBuilder] | type[TurnBuilder]] = {
+    "pneunet": PneunetBuilder,
+    "curl": CurlBuilder,
+    "turn": TurnBuilder,
+}

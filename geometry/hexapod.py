@@ -1,0 +1,390 @@
+"""The hexapod's soft body: the curling part with its full cross-section, and the turning part.
+
+Cross-section [m, symmetric in y], from the SoSpider paper's table 1 as reconstructed in the
+project's notes; with the table's numbers in mm:
+
+- main row, ``|y| < 18``: chamber ``|y| < 15, 4 < z < 29``, limit layer ``29 < z < 44``;
+- assistant rows out to ``|y| = 52`` sharing the main row's wall: chamber
+  ``19 < |y| < 48, 4 < z < 25``;
+- turning rows, ``18 < |y| < 52, 25 < z < 48``: chamber ``18 < |y| < 48, 29 < z < 44``,
+  growing sideways from the spine.
+
+Air paths (k x k) are not located by the paper. Here each runs against the limit layer's side of
+its chamber where that leaves most silicone round it: main ``|y| < k/2`` under the limit layer,
+turning against the spine at mid height, assistant under the turning row's connection (its
+middle line), because further out the turning row's gap lies directly on the assistant's
+connection and the path would open into it. They join the chambers of a row and are closed at
+the body's ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flexapod.core.errors import InputError
+from flexapod.geometry.blocks import Box, Sizing, UnitRow, build_row
+from flexapod.geometry.pneunet import (
+    ASSISTANT_CURL,
+    MAIN_CURL,
+    TURNING,
+    PneumaticNetwork,
+    check_size,
+    check_units,
+    symmetry_fraction,
+)
+from flexapod.geometry.tagged import TaggedMesh
+
+_CLOSE = 1e-9  # [m]
+
+_CURL_SIZES = {
+    "coarse": Sizing(9.0e-3, 1),
+    "default": Sizing(5.0e-3, 2),
+    "fine": Sizing(3.0e-3, 3),
+}
+_TURN_SIZES = {
+    "coarse": Sizing(9.0e-3, 1),
+    "default": Sizing(5.0e-3, 2),
+    "fine": Sizing(3.0e-3, 3),
+}
+
+
+def servo_intervals(
+    length: float, centres: tuple[float, ...] | None, servo_length: float
+) -> tuple[tuple[float, float], ...]:
+    """Intervals of x [m] that the servo stations occupy, from left to right.
+
+    Without centres: three stations, one in the middle and two that end at the body's ends.
+    """
+    reach = (length - servo_length) / 2
+    centres = (-reach, 0.0, reach) if centres is None else tuple(sorted(centres))
+    if not 0.0 < servo_length < length:
+        raise InputError(
+            f"servo_length must be > 0 and shorter than the body, got {servo_length * 1e3:g} mm "
+            f"for {length * 1e3:g} mm",
+            "mesh.servo_length",
+        )
+    for centre in centres:
+        if abs(centre) > length / 2:
+            raise InputError(
+                f"servo centre {centre * 1e3:g} mm lies outside the body (+-{length * 500:g} mm)",
+                "mesh.servo_centres",
+            )
+    for left, right in zip(centres, centres[1:], strict=False):
+        if right - left < servo_length - _CLOSE:
+            raise InputError(
+                f"servo stations at {left * 1e3:g} and {right * 1e3:g} mm overlap: they are "
+                f"{servo_length * 1e3:g} mm long",
+                "mesh.servo_centres",
+            )
+    return tuple((c - servo_length / 2, c + servo_length / 2) for c in centres)
+
+
+def _turn_boxes(n: PneumaticNetwork, spine: float, base: float) -> list[Box]:
+    """Half a unit of one turning row from the spine's side, lowest at z = base."""
+    a, length, p = n.chamber_length / 2, n.outer_length / 2, n.pitch / 2
+    y0, y1 = spine, spine + n.chamber_height
+    y2, joint = y1 + n.top_wall, spine + n.connection_thickness
+    z0, z3 = base, base + n.network_width
+    z1, z2 = z0 + n.outer_wall, z3 - n.outer_wall
+    middle, k = (z0 + z3) / 2, n.air_path
+    boxes = [
+        Box((0, p), (y0, y2), (z0, z3), "turn"),
+        Box((length, p), (joint, y2), (z0, z3), air="gap_turn"),
+        Box((0, a), (y0, y1), (z1, z2), air="cavity_turn", sided=True),
+    ]
+    if k > 0.0:
+        box_z = (middle - k / 2, middle + k / 2)
+        boxes.append(Box((a, p), (y0, y0 + k), box_z, "turn", "cavity_turn", sided=True))
+    return boxes
+
+
+@dataclass(frozen=True)
+class CurlBuilder:
+    """The curling part: main row, two assistant rows and the turning rows that ride along.
+
+    Attributes
+    ----------
+    units
+        Units of the whole body (the robot has 18).
+    size
+        "coarse", "default", "fine" or the longest element edge [m].
+    symmetry
+        "whole", "half" (x >= 0) or "quarter" (x >= 0, y >= 0).
+    servos
+        Whether stretches of the limit layer become the cell groups "servo_0", "servo_1", ...
+    servo_centres
+        Middles of the stations [m], or None for one in the middle and one at each end.
+    servo_length
+        Length of a station along the body [m]. Its ends snap to the nearest lattice plane.
+    main, assistant, turning
+        Dimensions of the rows.
+    """
+
+    units: int = 18
+    size: str | float = "default"
+    symmetry: str = "quarter"
+    servos: bool = False
+    servo_centres: tuple[float, ...] | None = None
+    servo_length: float = 0.045
+    main: PneumaticNetwork = MAIN_CURL
+    assistant: PneumaticNetwork = ASSISTANT_CURL
+    turning: PneumaticNetwork = TURNING
+
+    def __post_init__(self) -> None:
+        check_units(self.units)
+        m, s, r = self.main, self.assistant, self.turning
+        for name, row in (("assistant", s), ("turning", r)):
+            _same("l + d of main", m.pitch, f"l + d of {name}", row.pitch)
+        _same("b of main", m.network_width, "t of turning", r.limit_layer)
+        _same(
+            "b/2 - g of main + b of assistant",
+            m.network_width / 2 - m.outer_wall + s.network_width,
+            "t/2 + h + c of turning",
+            r.limit_layer / 2 + r.chamber_height + r.top_wall,
+        )
+        _less("t of main", 0.0, m.limit_layer, "> 0")
+        _less(
+            "c + h of assistant < c + h of main",
+            s.top_wall + s.chamber_height,
+            m.top_wall + m.chamber_height,
+        )
+        _less("g of main < g of assistant", m.outer_wall, s.outer_wall)
+        room = r.connection_thickness - (s.outer_wall - m.outer_wall)
+        if s.air_path > 0.0:
+            _less("k of assistant < e of turning - (g of assistant - g of main)", s.air_path, room)
+
+    @property
+    def length(self) -> float:
+        """Length of the whole body [m]."""
+        return self.units * self.main.pitch
+
+    def row(self) -> UnitRow:
+        """Half a unit as painted boxes."""
+        m, s, r = self.main, self.assistant, self.turning
+        p = m.pitch / 2
+        width = m.network_width / 2
+        main_in = width - m.outer_wall
+        c, ceiling = m.top_wall, m.top_wall + m.chamber_height
+        floor, top = ceiling - m.connection_thickness, ceiling + m.limit_layer
+        a, length, k = m.chamber_length / 2, m.outer_length / 2, m.air_path
+        far = main_in + s.network_width
+        s_in, s_out = main_in + s.outer_wall, far - s.outer_wall
+        s_c, s_ceiling = s.top_wall, s.top_wall + s.chamber_height
+        s_floor = s_ceiling - s.connection_thickness
+        s_a, s_length = s.chamber_length / 2, s.outer_length / 2
+        k_s = s.air_path
+        r_joint = width + r.connection_thickness
+        r_top = s_ceiling + r.network_width
+        # Painted assistants first: the shared wall belongs to the main row.
+        boxes = [
+            Box((0, p), (width, far), (0, s_ceiling), "assistant"),
+            Box((s_length, p), (width, far), (0, s_floor), air="gap_assistant"),
+            Box((0, s_a), (s_in, s_out), (s_c, s_ceiling), air="cavity_assistant", sided=True),
+            *_turn_boxes(r, width, s_ceiling),
+            Box((0, p), (0, width), (ceiling, top), "limit_layer"),
+            Box((0, p), (0, width), (0, ceiling), "main"),
+            Box((length, p), (0, width), (0, floor), air="gap_main"),
+            Box((0, a), (0, main_in), (c, ceiling), air="cavity_main"),
+        ]
+        if k > 0.0:
+            boxes.append(Box((a, p), (0, k / 2), (ceiling - k, ceiling), "main", "cavity_main"))
+        if k_s > 0.0:
+            y = (s_in, s_in + k_s)
+            z = (s_ceiling - k_s, s_ceiling)
+            boxes.append(Box((s_a, p), y, z, "assistant", "cavity_assistant", sided=True))
+        k_r = r.air_path
+        walls_x = (
+            (a, length),
+            (s_a, s_length),
+            (r.chamber_length / 2, r.outer_length / 2),
+        )
+        walls_y = (
+            (main_in, s_in),
+            (width + k_r, r_joint),
+            (s_out, far),
+            (width + r.chamber_height, far),
+        )
+        walls_z = (
+            (0.0, c),
+            (0.0, s_c),
+            (s_floor, s_ceiling - k_s),
+            (floor, ceiling - k),
+            (s_ceiling, s_ceiling + r.outer_wall),
+            (r_top - r.outer_wall, r_top),
+            (ceiling, top),
+        )
+        return UnitRow(tuple(boxes), (walls_x, walls_y, walls_z), int(self.units))
+
+    def build(self) -> TaggedMesh:
+        """Mesh the part with Gmsh."""
+        servos = (
+            servo_intervals(self.length, self.servo_centres, self.servo_length)
+            if self.servos
+            else ()
+        )
+        sizing = check_size(self.size, _CURL_SIZES)
+        return build_row(self.row(), self.symmetry, sizing, ("limit_layer",), servos).mesh
+
+    def expected_volume(self) -> float:
+        """Closed-form volume of the modelled solid, servo stations included [m3]."""
+        m, s, r = self.main, self.assistant, self.turning
+        beside = s.network_width - m.outer_wall  # assistant row without the shared wall
+        out = r.chamber_height + r.top_wall
+        main = m.network_width * (
+            m.outer_length * (m.top_wall + m.chamber_height)
+            + m.gap * m.connection_thickness
+            + m.pitch * m.limit_layer
+        )
+        assistant = beside * (
+            s.outer_length * (s.top_wall + s.chamber_height) + s.gap * s.connection_thickness
+        )
+        turn = r.network_width * (r.outer_length * out + r.gap * r.connection_thickness)
+        air = sum(self._whole_cavities().values())
+        whole = self.units * (main + 2 * assistant + 2 * turn) - air
+        return whole * symmetry_fraction(self.symmetry)
+
+    def _whole_cavities(self) -> dict[str, float]:
+        rows = {"main": self.main.cavity_volume(self.units)}
+        for name, row in (("assistant", self.assistant), ("turn", self.turning)):
+            for side in ("left", "right"):
+                rows[f"{name}_{side}"] = row.cavity_volume(self.units)
+        return {f"cavity_{name}": volume for name, volume in rows.items()}
+
+    def expected_cavity_volumes(self) -> dict[str, float]:
+        """Closed-form air volume of each modelled cavity [m3]."""
+        return _modelled(self._whole_cavities(), self.symmetry)
+
+
+def _modelled(whole: dict[str, float], symmetry: str) -> dict[str, float]:
+    """Cavity volumes inside the modelled part of the body."""
+    along = 1.0 if symmetry == "whole" else 0.5
+    across = 0.5 if symmetry == "quarter" else 1.0
+    volumes = {}
+    for name, volume in whole.items():
+        sided = name.endswith(("_left", "_right"))
+        if symmetry == "quarter" and name.endswith("_left"):
+            continue
+        volumes[name] = volume * along * (1.0 if sided else across)
+    return volumes
+
+
+def _same(left: str, left_value: float, right: str, right_value: float) -> None:
+    if abs(left_value - right_value) > _CLOSE:
+        raise InputError(
+            f"{left} = {right}: {left_value * 1e3:.6g} mm != {right_value * 1e3:.6g} mm",
+            "mesh.dimensions",
+        )
+
+
+def _less(relation: str, small: float, large: float, words: str = "") -> None:
+    if not small < large - _CLOSE:
+        numbers = f"{small * 1e3:.6g} mm >= {large * 1e3:.6g} mm"
+        raise InputError(f"{relation} {words}".strip() + f": {numbers}", "mesh.dimensions")
+
+
+@dataclass(frozen=True)
+class TurnBuilder:
+    """The turning part: rows of chambers on both sides of the spine, bending about z.
+
+    The part lies flat with z = 0 at its underside (the body's z less 25 mm). The spine is t wide
+    and, by default, as high as the rows (b): the paper lists t = 36 as the limit layer of the
+    turning column and models this part apart from the curling one. With `spine_height` the spine
+    is only that high, centred (15 mm is the limit layer that the whole body has there).
+
+    Attributes
+    ----------
+    units
+        Units of the whole part.
+    size
+        "coarse", "default", "fine" or the longest element edge [m].
+    symmetry
+        "whole" or "half" (x >= 0).
+    servos, servo_centres, servo_length
+        As in `CurlBuilder`, over the full section of the spine.
+    spine_height
+        Height of the spine [m], or None for the rows' full width b.
+    turning
+        Dimensions of the rows.
+    """
+
+    units: int = 18
+    size: str | float = "default"
+    symmetry: str = "half"
+    servos: bool = False
+    servo_centres: tuple[float, ...] | None = None
+    servo_length: float = 0.045
+    spine_height: float | None = None
+    turning: PneumaticNetwork = TURNING
+
+    def __post_init__(self) -> None:
+        check_units(self.units)
+        if self.symmetry == "quarter":
+            raise InputError(
+                "symmetry must be whole or half: one side is inflated, so the turning part is "
+                "not symmetric in y",
+                "mesh.symmetry",
+            )
+        r = self.turning
+        _less("t of turning", 0.0, r.limit_layer, "> 0")
+        if self.spine_height is not None:
+            # The spine must cover the chambers' open side, or their air would leak out.
+            inner = r.network_width - 2 * r.outer_wall
+            if not inner - _CLOSE <= self.spine_height <= r.network_width + _CLOSE:
+                raise InputError(
+                    f"b - 2 g <= spine_height <= b: {self.spine_height * 1e3:g} mm is not within "
+                    f"{inner * 1e3:g} to {r.network_width * 1e3:g} mm",
+                    "mesh.spine_height",
+                )
+
+    @property
+    def length(self) -> float:
+        """Length of the whole part [m]."""
+        return self.units * self.turning.pitch
+
+    @property
+    def _spine(self) -> float:
+        return self.turning.network_width if self.spine_height is None else self.spine_height
+
+    def row(self) -> UnitRow:
+        """Half a unit as painted boxes."""
+        r = self.turning
+        p, width = r.pitch / 2, r.limit_layer / 2
+        middle, high = r.network_width / 2, self._spine / 2
+        boxes = [
+            Box((0, p), (0, width), (middle - high, middle + high), "limit_layer"),
+            *_turn_boxes(r, width, 0.0),
+        ]
+        walls_y = (
+            (width + r.air_path, width + r.connection_thickness),
+            (width, width + r.connection_thickness),
+            (width + r.chamber_height, width + r.chamber_height + r.top_wall),
+        )
+        b, g = r.network_width, r.outer_wall
+        walls_x = ((r.chamber_length / 2, r.outer_length / 2),)
+        return UnitRow(tuple(boxes), (walls_x, walls_y, ((0.0, g), (b - g, b))), int(self.units))
+
+    def build(self) -> TaggedMesh:
+        """Mesh the part with Gmsh."""
+        servos = (
+            servo_intervals(self.length, self.servo_centres, self.servo_length)
+            if self.servos
+            else ()
+        )
+        sizing = check_size(self.size, _TURN_SIZES)
+        return build_row(self.row(), self.symmetry, sizing, ("limit_layer",), servos).mesh
+
+    def expected_volume(self) -> float:
+        """Closed-form volume of the modelled solid, servo stations included [m3]."""
+        r = self.turning
+        out = r.chamber_height + r.top_wall
+        unit = r.pitch * r.limit_layer * self._spine + 2 * r.network_width * (
+            r.outer_length * out + r.gap * r.connection_thickness
+        )
+        whole = self.units * unit - 2 * r.cavity_volume(self.units)
+        return whole * symmetry_fraction(self.symmetry)
+
+    def expected_cavity_volumes(self) -> dict[str, float]:
+        """Closed-form air volume of each modelled cavity [m3]."""
+        volume = self.turning.cavity_volume(self.units)
+        whole = {"cavity_turn_left": volume, "cavity_turn_right": volume}
+        return _modelled(whole, self.symmetry)
