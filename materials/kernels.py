@@ -209,3 +209,163 @@ def principal_states(mu: Any, alpha: Any, c: Any, log_stretches: Any) -> tuple[A
         stress[i, 0], stress[i, 1], stress[i, 2] = isochoric_stress(mu, alpha, c, e1, e2, e3)
         isochoric_tangent(mu, alpha, c, e1, e2, e3, tangent[i], quotient)
     return energy, stress, tangent
+
+
+@kernel
+def response_states(
+    mu: Any, alpha: Any, c: Any, kappa: float, gradients: Any
+) -> tuple[Any, Any, Any]:
+    """Energy, first Piola-Kirchhoff stress and its derivative for many deformation gradients.
+
+    `gradients` has shape (state_count, 3, 3). Results: energy [J/m3], shape (state_count,);
+    stress P [Pa], shape (state_count, 3, 3); tangent dP/dF [Pa], shape
+    (state_count, 3, 3, 3, 3), all with the volumetric term of bulk modulus `kappa` [Pa].
+
+    With ``b = F F^T = sum l_i**2 n_i n_i``, the Kirchhoff stress is ``sum tau_i n_i n_i`` and
+    ``P = tau F^-T``. In the axes n_i its Lie derivative has the moduli
+    ``c_iijj = d tau_i / d ln l_j - 2 tau_i delta_ij`` and, for i != j,
+    ``c_ijij = (tau_i l_j**2 - tau_j l_i**2) / (l_i**2 - l_j**2) = s_ij - tau_j``
+    (R. W. Ogden, Non-Linear Elastic Deformations, 1984, section 6.1.4), from which
+    ``dP_iJ/dF_kL = F^-1_Jj F^-1_Ll (c_ijkl + delta_ik tau_jl)``.
+    States with det F <= 0 give NaN.
+    """
+    n = gradients.shape[0]
+    energy = np.empty(n)
+    stress = np.empty((n, 3, 3))
+    tangent = np.empty((n, 3, 3, 3, 3))
+    b = np.empty((3, 3))
+    values = np.empty(3)
+    axes = np.empty((3, 3))
+    d = np.empty((3, 3))
+    s = np.empty((3, 3))
+    tau = np.empty(3)
+    kirchhoff = np.empty((3, 3))
+    inverse = np.empty((3, 3))
+    spatial = np.empty((3, 3, 3, 3))
+    half = np.empty((3, 3, 3, 3))
+    for state in range(n):
+        f = gradients[state]
+        for i in range(3):
+            i1, i2 = (i + 1) % 3, (i + 2) % 3
+            for j in range(3):
+                j1, j2 = (j + 1) % 3, (j + 2) % 3
+                inverse[j, i] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
+        jac = f[0, 0] * inverse[0, 0] + f[0, 1] * inverse[1, 0] + f[0, 2] * inverse[2, 0]
+        if not jac > 0.0:
+            energy[state] = math.nan
+            stress[state] = math.nan
+            tangent[state] = math.nan
+            continue
+        for i in range(3):
+            for j in range(3):
+                inverse[i, j] /= jac
+                b[i, j] = f[i, 0] * f[j, 0] + f[i, 1] * f[j, 1] + f[i, 2] * f[j, 2]
+        symmetric_eigen(b, values, axes)
+        e1 = 0.5 * math.log(values[0])
+        e2 = 0.5 * math.log(values[1])
+        e3 = 0.5 * math.log(values[2])
+        energy[state] = isochoric_energy(mu, alpha, c, e1, e2, e3) + volumetric_energy(kappa, jac)
+        tau[0], tau[1], tau[2] = isochoric_stress(mu, alpha, c, e1, e2, e3)
+        isochoric_tangent(mu, alpha, c, e1, e2, e3, d, s)
+        p = jac * volumetric_pressure(kappa, jac)
+        dp = p + jac * jac * volumetric_modulus(kappa, jac)
+        for i in range(3):
+            tau[i] += p
+            for j in range(3):
+                d[i, j] += dp
+
+        for i in range(3):
+            for j in range(3):
+                kirchhoff[i, j] = 0.0
+                for a in range(3):
+                    kirchhoff[i, j] += tau[a] * axes[i, a] * axes[j, a]
+        for i in range(3):
+            for j in range(3):
+                total = 0.0
+                for k in range(3):
+                    total += kirchhoff[i, k] * inverse[j, k]
+                stress[state, i, j] = total
+
+        spatial[:] = 0.0
+        for a in range(3):
+            for m in range(3):
+                normal = d[a, m]
+                if a == m:
+                    normal -= 2.0 * tau[a]
+                shear = s[a, m] - tau[m]
+                for i in range(3):
+                    for j in range(3):
+                        for k in range(3):
+                            for q in range(3):
+                                spatial[i, j, k, q] += (
+                                    normal * axes[i, a] * axes[j, a] * axes[k, m] * axes[q, m]
+                                )
+                                if a != m:
+                                    # c_amam and c_amma, so that minor symmetry holds.
+                                    spatial[i, j, k, q] += (
+                                        shear
+                                        * axes[i, a]
+                                        * axes[j, m]
+                                        * (axes[k, a] * axes[q, m] + axes[k, m] * axes[q, a])
+                                    )
+        for i in range(3):
+            for j in range(3):
+                for q in range(3):
+                    spatial[i, j, i, q] += kirchhoff[j, q]
+        for i in range(3):
+            for big in range(3):
+                for k in range(3):
+                    for q in range(3):
+                        total = 0.0
+                        for j in range(3):
+                            total += inverse[big, j] * spatial[i, j, k, q]
+                        half[i, big, k, q] = total
+        for i in range(3):
+            for big in range(3):
+                for k in range(3):
+                    for big2 in range(3):
+                        total = 0.0
+                        for q in range(3):
+                            total += inverse[big2, q] * half[i, big, k, q]
+                        tangent[state, i, big, k, big2] = total
+    return energy, stress, tangent
+
+
+@inline_kernel
+def drucker_margin(
+    mu: Any, alpha: Any, c: Any, e1: float, e2: float, e3: float, d: Any, s: Any
+) -> float:
+    """Least eigenvalue [Pa] of the incompressible tangent at one state; > 0 is stable.
+
+    Drucker's condition ``d tau : d ln(l) > 0`` for every increment that keeps the volume
+    (``sum d ln l_i = 0``) is that the (2, 2) restriction of ``d tau_i / d ln l_j`` to an
+    orthonormal basis of those increments is positive definite. `d`, `s` are work arrays (3, 3).
+    """
+    m = (e1 + e2 + e3) / 3.0
+    isochoric_tangent(mu, alpha, c, e1 - m, e2 - m, e3 - m, d, s)
+    # Basis (1, -1, 0)/sqrt(2) and (1, 1, -2)/sqrt(6).
+    a11 = 0.5 * (d[0, 0] - d[0, 1] - d[1, 0] + d[1, 1])
+    a12 = (d[0, 0] + d[0, 1] - 2.0 * d[0, 2] - d[1, 0] - d[1, 1] + 2.0 * d[1, 2]) / math.sqrt(12.0)
+    a22 = (
+        d[0, 0]
+        + d[0, 1]
+        + d[1, 0]
+        + d[1, 1]
+        - 2.0 * (d[0, 2] + d[2, 0] + d[1, 2] + d[2, 1])
+        + 4.0 * d[2, 2]
+    ) / 6.0
+    return 0.5 * (a11 + a22) - math.sqrt(0.25 * (a11 - a22) ** 2 + a12 * a12)
+
+
+@kernel
+def drucker_margins(mu: Any, alpha: Any, c: Any, log_stretches: Any) -> Any:
+    """`drucker_margin` [Pa] for many states, shape (state_count,), of logs (state_count, 3)."""
+    n = log_stretches.shape[0]
+    margins = np.empty(n)
+    d = np.empty((3, 3))
+    s = np.empty((3, 3))
+    for i in range(n):
+        margins[i] = drucker_margin(
+            mu, alpha, c, log_stretches[i, 0], log_stretches[i, 1], log_stretches[i, 2], d, s
+        )
+    return margins

@@ -31,6 +31,10 @@ class HyperelasticLaw(Protocol):
         """Return the arrays the kernels take."""
         ...
 
+    def coefficients(self) -> dict[str, list[float]]:
+        """Return the coefficients in the words of case files (mu, alpha, c), SI."""
+        ...
+
     @property
     def shear_modulus(self) -> float:
         """Small-strain shear modulus G [Pa]."""
