@@ -11,13 +11,12 @@ refining one wall refines everything beside, above and below it.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from flexapod.core.errors import InputError
-from flexapod.geometry.tagged import HEX_FACES, TaggedMesh
+from flexapod.geometry.tagged import HEX_FACES, TaggedMesh, cavity_names
 
 SYMMETRIES = ("whole", "half", "quarter")
 
@@ -338,7 +337,9 @@ def build_row(
     # Half units from left to right: the left half of a unit is the mirrored right half.
     pitch = 2.0 * float(planes[0][-1])
     halves = range(row.unit_count if x_cut else 0, 2 * row.unit_count)
-    x_parts, owner_parts, meshed_parts = [], [], []
+    x_parts: list[np.ndarray] = []
+    owner_parts: list[np.ndarray] = []
+    meshed_parts: list[np.ndarray] = []
     for half in halves:
         middle = (half // 2 + 0.5 - row.unit_count / 2.0) * pitch
         mirrored = half % 2 == 0
@@ -451,8 +452,7 @@ def _tag(
             elif (axis, step) == (2, 1):
                 put("top", quads)
     facet_groups = {name: np.concatenate(parts) for name, parts in sorted(groups.items())}
-    cavities = tuple(name for name in facet_groups if name.startswith("cavity"))
-    return TaggedMesh(nodes, cells, cell_groups, facet_groups, cavities)
+    return TaggedMesh(nodes, cells, cell_groups, facet_groups, cavity_names(facet_groups))
 
 
 def _first_gap(boxes: tuple[Box, ...], owner: np.ndarray) -> int:
@@ -460,13 +460,3 @@ def _first_gap(boxes: tuple[Box, ...], owner: np.ndarray) -> int:
     is_gap = np.array([False] + [box.air.startswith("gap") for box in boxes])
     has_gap = is_gap[owner].any(axis=(1, 2))
     return int(np.argmin(has_gap)) if not has_gap.all() else 0
-
-
-def snap_report(lines: np.ndarray, positions: list[float]) -> list[float]:
-    """Nearest lattice plane [m] to each position."""
-    return [float(lines[np.argmin(np.abs(lines - p))]) for p in positions]
-
-
-def union_boxes(*groups: tuple[Box, ...]) -> tuple[Box, ...]:
-    """Painted boxes one group after the other."""
-    return tuple(itertools.chain.from_iterable(groups))

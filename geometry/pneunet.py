@@ -146,9 +146,9 @@ ASSISTANT_CURL = _network(5, 37, 4, 6, 5, 3, 4, 21, 3, 11, 0)
 TURNING = _network(5, 23, 4, 6, 5, 3, 4, 30, 3, 11, 36)
 
 _SIZES = {
-    "coarse": Sizing(7.0e-3, 1),
+    "coarse": Sizing(10.0e-3, 1),
     "default": Sizing(5.0e-3, 2),
-    "fine": Sizing(2.5e-3, 3),
+    "fine": Sizing(4.0e-3, 3),
 }
 
 
@@ -198,7 +198,7 @@ class PneunetBuilder:
     symmetry
         "whole", "half" (x >= 0) or "quarter" (x >= 0, y >= 0).
     dimensions
-        The row's dimensions.
+        The row's dimensions; ``air_path = 0`` leaves the chambers unconnected.
     """
 
     units: int = 9

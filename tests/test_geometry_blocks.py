@@ -1,0 +1,339 @@
+"""The built bodies: tags, shapes, volumes, cavities, walls, counts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from flexapod.core.errors import InputError
+from flexapod.geometry.blocks import Sizing, build_row, subdivide
+from flexapod.geometry.builders import BUILDERS
+from flexapod.geometry.hexapod import CurlBuilder, TurnBuilder, servo_intervals
+from flexapod.geometry.pneunet import (
+    ASSISTANT_CURL,
+    MAIN_CURL,
+    TURNING,
+    PneumaticNetwork,
+    PneunetBuilder,
+)
+from flexapod.geometry.quality import cell_volumes, mesh_quality, scaled_jacobians
+from flexapod.geometry.tagged import TaggedMesh, boundary_facets, orient_outward
+
+ROUND_OFF = 1e-12  # measured 1e-15 relative for volumes of 1e-4 m3
+
+BUILDS = {
+    "pneunet whole": PneunetBuilder(units=3),
+    "pneunet half, odd": PneunetBuilder(units=3, symmetry="half"),
+    "pneunet quarter": PneunetBuilder(units=4, symmetry="quarter"),
+    "curl whole": CurlBuilder(units=4, size="coarse", symmetry="whole", servos=True,
+                              servo_length=0.01),
+    "curl half": CurlBuilder(units=4, size="coarse", symmetry="half"),
+    "curl quarter": CurlBuilder(units=4),
+    "curl quarter, one unit": CurlBuilder(units=1),
+    "curl quarter, no paths": CurlBuilder(units=4, air_paths=False),
+    "turn whole": TurnBuilder(units=3, symmetry="whole"),
+    "turn half": TurnBuilder(units=4),
+    "turn low spine": TurnBuilder(units=4, spine_height=0.015),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=list(BUILDS), ids=lambda n: n.replace(" ", "_"))
+def built(request: pytest.FixtureRequest) -> tuple[PneunetBuilder | CurlBuilder, TaggedMesh]:
+    builder = BUILDS[request.param]
+    return builder, builder.build()
+
+
+def area_vector(mesh: TaggedMesh, name: str) -> np.ndarray:
+    x = mesh.nodes[mesh.facet_groups[name]]
+    return np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]).sum(axis=0) / 2.0
+
+
+def area(mesh: TaggedMesh, name: str) -> float:
+    x = mesh.nodes[mesh.facet_groups[name]]
+    return float(np.linalg.norm(np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]), axis=1).sum() / 2)
+
+
+def test_volume_is_the_formula(built) -> None:
+    builder, mesh = built
+    volumes = cell_volumes(mesh.nodes, mesh.cells)
+    assert volumes.min() > 0.0
+    np.testing.assert_allclose(volumes.sum(), builder.expected_volume(), rtol=ROUND_OFF)
+    np.testing.assert_allclose(scaled_jacobians(mesh.nodes, mesh.cells), 1.0, rtol=1e-9)
+
+
+def test_cavity_volumes_are_the_formula(built) -> None:
+    builder, mesh = built
+    expected = builder.expected_cavity_volumes()
+    assert set(mesh.cavities) == set(expected)
+    for name, volume in expected.items():
+        np.testing.assert_allclose(mesh.cavity_volume(name), volume, rtol=ROUND_OFF)
+
+
+def test_cavities_are_closed_but_for_symmetry_planes(built) -> None:
+    builder, mesh = built
+    open_axes = {"whole": 0, "half": 1, "quarter": 2}[builder.symmetry]
+    for name in mesh.cavities:
+        vector = area_vector(mesh, name) / area(mesh, name)
+        np.testing.assert_allclose(vector[open_axes:], 0.0, atol=1e-13)
+
+
+def test_groups_partition_surface_and_cells(built) -> None:
+    _, mesh = built
+    everything = boundary_facets(mesh.cells)
+    parts = ["outer", *mesh.cavities, *(n for n in mesh.facet_groups if n.startswith("symmetry"))]
+    named = np.concatenate([mesh.facet_groups[n] for n in parts])
+
+    def as_set(quads: np.ndarray) -> set[tuple[int, ...]]:
+        return {tuple(q) for q in np.sort(quads, axis=1).tolist()}
+
+    assert len(named) == len(everything)
+    assert as_set(named) == as_set(everything)
+    for name, quads in mesh.facet_groups.items():
+        assert as_set(quads) <= as_set(everything)
+        np.testing.assert_array_equal(orient_outward(mesh.cells, quads, name), quads)
+    material = np.concatenate([mesh.cell_groups[n] for n in mesh.material_groups])
+    np.testing.assert_array_equal(np.sort(material), np.arange(len(mesh.cells)))
+
+
+def test_nodes_are_unique_and_used(built) -> None:
+    _, mesh = built
+    assert len(np.unique(np.round(mesh.nodes * 1e9), axis=0)) == len(mesh.nodes)
+    np.testing.assert_array_equal(np.unique(mesh.cells), np.arange(len(mesh.nodes)))
+
+
+def test_surfaces_lie_where_their_names_say(built) -> None:
+    builder, mesh = built
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    assert high[0] == pytest.approx(builder_length(builder) / 2, abs=1e-12)
+    planes = {"symmetry_x": (0, 0.0), "symmetry_y": (1, 0.0), "end": (0, high[0]),
+              "end_left": (0, low[0]), "underside": (2, 0.0), "side_right": (1, high[1]),
+              "side_left": (1, low[1])}  # fmt: skip
+    for name, (axis, value) in planes.items():
+        if name in mesh.facet_groups:
+            x = mesh.nodes[mesh.facet_groups[name]]
+            np.testing.assert_allclose(x[..., axis], value, atol=1e-12)
+            assert abs(area_vector(mesh, name)[axis]) == pytest.approx(area(mesh, name))
+    cut = {"whole": set(), "half": {"symmetry_x"}, "quarter": {"symmetry_x", "symmetry_y"}}
+    assert {n for n in mesh.facet_groups if n.startswith("symmetry")} == cut[builder.symmetry]
+    assert {"end", "underside", "top", "outer", "chamber_faces", "side_right"} <= set(
+        mesh.facet_groups
+    )
+    assert ("end_left" in mesh.facet_groups) == (builder.symmetry == "whole")
+    assert area_vector(mesh, "top")[2] == pytest.approx(area(mesh, "top"))
+
+
+def builder_length(builder: object) -> float:
+    if isinstance(builder, PneunetBuilder):
+        return builder.units * builder.dimensions.pitch
+    return builder.length
+
+
+def test_chamber_faces_have_the_area_of_the_gaps() -> None:
+    # Main row, whole, n units: 2 n faces of b x (c + h - e) and n gap floors of d x b.
+    builder = PneunetBuilder(units=3)
+    n = builder.dimensions
+    free = n.top_wall + n.chamber_height - n.connection_thickness
+    expected = 3 * (2 * n.network_width * free + n.gap * n.network_width)
+    assert area(builder.build(), "chamber_faces_main") == pytest.approx(expected, rel=1e-12)
+
+
+def test_cavity_faces_point_into_the_air() -> None:
+    mesh = PneunetBuilder(units=1).build()
+    x = mesh.nodes[mesh.facet_groups["cavity_main"]]
+    normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+    towards = np.array([0.0, 0.0, 4e-3 + 12.5e-3]) - x.mean(axis=1)
+    assert np.all(np.einsum("ij,ij->i", normal, towards) > 0.0)
+
+
+@pytest.mark.parametrize("name", ["main", "assistant_left", "assistant_right", "turn_left"])
+def test_chambers_of_a_row_are_one_connected_cavity(name: str) -> None:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    mesh = CurlBuilder(units=3, size="coarse", symmetry="whole").build()
+    quads = mesh.facet_groups[f"cavity_{name}"]
+    nodes, local = np.unique(quads, return_inverse=True)
+    local = local.reshape(-1, 4)
+    rows, columns = local.ravel(), np.roll(local, 1, axis=1).ravel()
+    links = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(nodes),) * 2)
+    assert connected_components(links, directed=False)[0] == 1
+
+
+def wall_runs(builder: object, sizing: Sizing) -> list[tuple[int, float, int]]:
+    """(axis, thickness [m], elements) of each solid run between two voids or outsides.
+
+    Symmetry planes count as mirrors. The brute-force twin of the walls a builder names.
+    """
+    row = build_row(builder.row(), builder.symmetry, sizing)
+    mesh, lines = row.mesh, row.lines
+    solid = np.zeros([len(line) - 1 for line in lines], dtype=bool)
+    low = mesh.nodes[mesh.cells].min(axis=1)
+    index = [np.abs(lines[a][None, :] - low[:, a : a + 1]).argmin(axis=1) for a in range(3)]
+    solid[tuple(index)] = True
+    runs = set()
+    for axis in range(3):
+        line, cells = lines[axis], np.moveaxis(solid, axis, -1)
+        if axis == 0 or (axis == 1 and builder.symmetry == "quarter"):
+            line = np.concatenate([-line[:0:-1], line])
+            cells = np.concatenate([cells[..., ::-1], cells], axis=-1)
+        # Along x the ends of the body are not walls but stumps of half a gap.
+        padded = np.pad(cells.reshape(-1, cells.shape[-1]), ((0, 0), (1, 1)))
+        steps = np.diff(padded.astype(int), axis=1)
+        for pencil in steps[np.any(steps != 0, axis=1)]:
+            starts, stops = np.flatnonzero(pencil == 1), np.flatnonzero(pencil == -1)
+            for start, stop in zip(starts, stops, strict=True):
+                runs.add((axis, round(float(line[stop] - line[start]), 6), int(stop - start)))
+    return sorted(runs)
+
+
+@pytest.mark.parametrize(
+    "builder", [PneunetBuilder(units=2, symmetry="quarter"), CurlBuilder(units=4), TurnBuilder()]
+)
+def test_two_elements_through_every_wall_by_default(builder: object) -> None:
+    from flexapod.geometry.hexapod import _CURL_SIZES, _TURN_SIZES
+    from flexapod.geometry.pneunet import _SIZES
+
+    table = {PneunetBuilder: _SIZES, CurlBuilder: _CURL_SIZES, TurnBuilder: _TURN_SIZES}
+    runs = wall_runs(builder, table[type(builder)]["default"])
+    thin = [run for run in runs if run[2] < 2]
+    # The one exception: a 1 mm skin between the assistant row's air path and the main row's gap.
+    allowed = [(1, 0.001, 1)] if isinstance(builder, CurlBuilder) else []
+    assert [run for run in thin if run not in allowed] == []
+    three = [run for run in wall_runs(builder, table[type(builder)]["fine"]) if run[2] < 3]
+    assert [run for run in three if run[1] > 0.001 and run[0] != 0] == []
+
+
+def test_counts_of_the_robot_models() -> None:
+    count = {
+        (name, size): len(BUILDERS[name](size=size).build().cells)
+        for name in ("curl", "turn")
+        for size in ("default", "fine")
+    }
+    assert 11_000 <= count["curl", "default"] <= 14_000
+    assert count["curl", "fine"] == pytest.approx(37_078, rel=0.15)
+    assert count["turn", "fine"] == pytest.approx(31_887, rel=0.15)
+
+
+def test_whole_robot_silicone_weighs_what_the_notes_say() -> None:
+    builder = CurlBuilder(size="coarse", symmetry="whole")
+    mesh = builder.build()
+    quality = mesh_quality(mesh, builder.expected_volume(), density=1080.0)
+    assert quality.mass == pytest.approx(0.92, abs=0.02)
+    assert abs(quality.volume_error) < ROUND_OFF
+    np.testing.assert_allclose(np.ptp(mesh.nodes, axis=0), [0.306, 0.104, 0.048], rtol=1e-12)
+    for word in ("hexahedra", "scaled Jacobian", "by formula", "kg/m3", "cavity_turn_left"):
+        assert word in quality.text()
+
+
+def test_symmetric_parts_are_parts_of_the_whole() -> None:
+    meshes = {s: CurlBuilder(units=4, symmetry=s).build() for s in ("whole", "half", "quarter")}
+    volume = {s: cell_volumes(m.nodes, m.cells).sum() for s, m in meshes.items()}
+    np.testing.assert_allclose(volume["whole"], 2 * volume["half"], rtol=ROUND_OFF)
+    np.testing.assert_allclose(volume["whole"], 4 * volume["quarter"], rtol=ROUND_OFF)
+    assert len(meshes["whole"].cells) == 4 * len(meshes["quarter"].cells)
+    assert len(meshes["whole"].facet_groups["cavity_main"]) == 4 * len(
+        meshes["quarter"].facet_groups["cavity_main"]
+    )
+
+
+def test_numbering_is_reproducible() -> None:
+    first, second = CurlBuilder(units=2).build(), CurlBuilder(units=2).build()
+    np.testing.assert_array_equal(first.nodes, second.nodes)
+    np.testing.assert_array_equal(first.cells, second.cells)
+    # A Gmsh session the caller holds open is left as it was.
+    import gmsh
+
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("mine")
+        third = CurlBuilder(units=2).build()
+        assert gmsh.model.getCurrent() == "mine"
+    finally:
+        gmsh.finalize()
+    np.testing.assert_array_equal(first.cells, third.cells)
+
+
+def test_servo_stations() -> None:
+    plain = CurlBuilder(size="coarse").build()
+    assert plain.material_groups == ("silicone",)
+    whole = CurlBuilder(size="coarse", symmetry="whole", servos=True).build()
+    assert whole.material_groups == ("silicone", "servo_0", "servo_1", "servo_2")
+    volumes = cell_volumes(whole.nodes, whole.cells)
+    for number, centre in enumerate((-0.1305, 0.0, 0.1305)):
+        cells = whole.cell_groups[f"servo_{number}"]
+        assert np.isin(cells, whole.cell_groups["limit_layer"]).all()
+        x = whole.nodes[whole.cells[cells]]
+        assert abs(x[..., 0].min() - (centre - 0.0225)) < 1.25e-3
+        assert abs(x[..., 0].max() - (centre + 0.0225)) < 1.25e-3
+        assert volumes[cells].sum() == pytest.approx(0.045 * 0.036 * 0.015, rel=0.06)
+        assert (x[..., 2].min(), x[..., 2].max()) == pytest.approx((0.029, 0.044))
+    half = CurlBuilder(size="coarse", servos=True).build()
+    assert half.material_groups == ("silicone", "servo_1", "servo_2")
+    turn = TurnBuilder(size="coarse", servos=True).build()
+    assert turn.material_groups == ("silicone", "servo_1", "servo_2")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"outer_length": 0.015}, "l = a + 2 f: 15 mm != 14 mm"),
+        ({"inner_wall": 0.004}, "l = a + 2 f: 14 mm != 16 mm"),
+        ({"outer_wall": 0.018}, "b > 2 g: 36 mm <= 36 mm"),
+        ({"connection_thickness": 0.029}, "e < c + h: 29 mm >= 29 mm"),
+        ({"air_path": 0.005}, "k < e: 5 mm >= 5 mm"),
+        ({"network_width": 0.009}, "k < b - 2 g: 3 mm >= 3 mm"),
+        ({"gap": -0.001}, "d > 0: gap is -1 mm"),
+        ({"top_wall": float("nan")}, "c > 0: top_wall is nan mm"),
+        ({"gap": 3.0}, "d < 100 l: 3000 mm: is the gap in metres?"),
+    ],
+)
+def test_impossible_dimensions_name_the_relation(change: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        dataclasses.replace(MAIN_CURL, **change)
+    assert words in str(caught.value)
+
+
+def test_impossible_bodies() -> None:
+    longer = dataclasses.replace(MAIN_CURL, gap=0.004)
+    with pytest.raises(InputError, match=r"l \+ d of main = .*18 mm != 17 mm"):
+        CurlBuilder(main=longer)
+    with pytest.raises(InputError, match=r"b of main = t of turning: 36 mm != 30 mm"):
+        CurlBuilder(turning=dataclasses.replace(TURNING, limit_layer=0.030))
+    with pytest.raises(InputError, match="t > 0"):
+        PneunetBuilder(dimensions=ASSISTANT_CURL)
+    with pytest.raises(InputError, match="symmetry must be"):
+        TurnBuilder(symmetry="quarter")
+    with pytest.raises(InputError, match="symmetry must be one of"):
+        CurlBuilder(symmetry="third").build()
+    with pytest.raises(InputError, match="size must be coarse, default, fine or a length"):
+        CurlBuilder(size="medium").build()
+    with pytest.raises(InputError, match=r"0\.2 mm and 100 mm"):
+        CurlBuilder(size=3.0).build()
+    with pytest.raises(InputError, match="units must be"):
+        CurlBuilder(units=0)
+    with pytest.raises(InputError, match="spine_height"):
+        TurnBuilder(spine_height=0.010)
+    with pytest.raises(InputError, match="overlap"):
+        servo_intervals(0.306, (0.0, 0.02), 0.045)
+    with pytest.raises(InputError, match="outside the body"):
+        servo_intervals(0.306, (0.2,), 0.045)
+
+
+def test_table_columns() -> None:
+    assert isinstance(TURNING, PneumaticNetwork)
+    for column in (MAIN_CURL, ASSISTANT_CURL, TURNING):
+        assert column.pitch == pytest.approx(0.017)
+    assert MAIN_CURL.chamber_volume == pytest.approx(8e-3 * 30e-3 * 25e-3)
+
+
+def test_size_as_a_length_bounds_every_edge() -> None:
+    quality = mesh_quality(CurlBuilder(units=2, size=3e-3).build())
+    assert quality.longest_edge <= 3e-3 + 1e-12
+
+
+def test_subdivide_splits_the_longest_part_of_a_wall() -> None:
+    planes = np.array([0.0, 3.0, 4.0, 20.0])
+    counts = subdivide(planes, ((0.0, 4.0),), Sizing(max_length=8.0, wall_elements=3))
+    np.testing.assert_array_equal(counts, [2, 1, 2])
