@@ -188,9 +188,10 @@ def gmsh_blocks(
     surfaces: dict[tuple[tuple[int, ...], int], int] = {}
     had_session = bool(gmsh.isInitialized())
     if not had_session:
-        gmsh.initialize(interruptible=False)
+        # A user's .gmshrc must not change the mesh.
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
     previous = gmsh.model.getCurrent() if had_session else ""
-    gmsh.option.setNumber("General.Terminal", 0)
     gmsh.model.add("flexapod-blocks")
     geo = gmsh.model.geo
 
@@ -309,8 +310,9 @@ def build_row(
     limit_groups
         Cell groups whose cells may become servos.
     servos
-        Intervals of x [m], each snapped to the nearest lattice planes; the cells of
-        `limit_groups` inside the n-th go to the cell group "servo_n".
+        Intervals of x [m]. Their ends add no planes but snap to the nearest lattice plane (at
+        most half an element, about 1 mm); the cells of `limit_groups` inside the n-th go to the
+        cell group "servo_n", numbered along the whole body also where a part is modelled.
 
     Returns
     -------

@@ -18,6 +18,8 @@ groups without a member.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -60,12 +62,15 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> TaggedMesh:
     where = str(path)
     if not path.is_file():
         raise InputError("no such mesh file", where)
+    # meshio prints its failed guesses to standard output, which belongs to the caller, and ends
+    # the process on some bad files.
+    said = io.StringIO()
     try:
-        data = meshio.read(path)
-    except (Exception, SystemExit) as problem:  # meshio ends the process on some bad files
-        raise InputError(
-            f"meshio cannot read it: {problem or type(problem).__name__}", where
-        ) from None
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            data = meshio.read(path)
+    except (Exception, SystemExit) as problem:
+        reason = " ".join(said.getvalue().split()) or str(problem) or type(problem).__name__
+        raise InputError(f"meshio cannot read it: {reason}", where) from None
     types = {block.type for block in data.cells}
     foreign = sorted(types - {"hexahedron", "quad", *_IGNORED})
     if foreign:
@@ -104,10 +109,11 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> TaggedMesh:
         corners = number[quads[members]]
         if np.any(corners < 0):
             raise InputError(f"a facet of {name!r} belongs to no hexahedron", where)
-        try:
-            facet_groups[name] = orient_outward(cells, corners, name)
-        except InputError as problem:
-            raise InputError(str(problem), where) from None
+        facet_groups[name] = corners
+    try:
+        facet_groups = _orient_all(cells, facet_groups)
+    except InputError as problem:
+        raise InputError(str(problem), where) from None
     return TaggedMesh(nodes, cells, hex_groups, facet_groups, cavity_names(facet_groups))
 
 
@@ -147,6 +153,19 @@ def _collect(data: Any, kind: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
             elif name.startswith(_PREFIX):
                 put([name.removeprefix(_PREFIX)], start + np.flatnonzero(values != 0))
     return elements, {name: np.unique(np.concatenate(m)) for name, m in members.items()}
+
+
+def _orient_all(cells: np.ndarray, groups: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Turn the facets of all groups outward in one search."""
+    ends = np.cumsum([len(quads) for quads in groups.values()])
+    try:
+        turned = orient_outward(
+            cells, np.concatenate([np.empty((0, 4), dtype=np.int64), *groups.values()])
+        )
+    except InputError:
+        # Once more, group by group, to say which one is wrong.
+        return {name: orient_outward(cells, quads, name) for name, quads in groups.items()}
+    return dict(zip(groups, np.split(turned, ends[:-1]), strict=True)) if groups else {}
 
 
 def _without_repeats(

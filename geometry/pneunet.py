@@ -6,7 +6,8 @@ Source of all dimensions: SoSpider paper, table 1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 
 from flexapod.core.errors import InputError
 from flexapod.geometry.blocks import Box, Sizing, UnitRow, build_row
@@ -138,12 +139,32 @@ def _network(*millimetres: float) -> PneumaticNetwork:
     return PneumaticNetwork(*(v * 1e-3 for v in millimetres))
 
 
+def change_network(base: PneumaticNetwork, changes: Mapping[str, float]) -> PneumaticNetwork:
+    """Copy of a row with some dimensions [m] changed, checked as a whole.
+
+    Parameters
+    ----------
+    base
+        The row to start from.
+    changes
+        Spelled-out name to value, for example ``{"gap": 0.004}``.
+    """
+    unknown = [name for name in changes if name not in SYMBOLS]
+    if unknown:
+        raise InputError(
+            f"unknown dimension {unknown[0]!r}, use one of {', '.join(SYMBOLS)}", "mesh.dimensions"
+        )
+    return replace(base, **changes)
+
+
 # Columns of table 1, in the order a b c d e f g h k l t.
 MAIN_CURL = _network(8, 36, 4, 3, 5, 3, 3, 25, 3, 14, 15)
 ASSISTANT_CURL = _network(5, 37, 4, 6, 5, 3, 4, 21, 3, 11, 0)
 # The table gives f = 4 for the turning row, which contradicts l = a + 2 f (11 = 5 + 2 f); along
 # the body the wall is 3 mm, as in the assistant row of the same pitch.
 TURNING = _network(5, 23, 4, 6, 5, 3, 4, 30, 3, 11, 36)
+
+NETWORKS = {"main_curl": MAIN_CURL, "assistant_curl": ASSISTANT_CURL, "turning": TURNING}
 
 _SIZES = {
     "coarse": Sizing(10.0e-3, 1),

@@ -35,9 +35,12 @@ def quad_set(quads: np.ndarray) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk"])
-def test_round_trip(curl: TaggedMesh, tmp_path: Path, suffix: str) -> None:
+def test_round_trip(
+    curl: TaggedMesh, tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = write_mesh(curl, tmp_path / f"body{suffix}")
     back = read_mesh(path)
+    assert capsys.readouterr().out == ""
     np.testing.assert_array_equal(back.nodes, curl.nodes)
     np.testing.assert_array_equal(back.cells, curl.cells)
     assert set(back.cell_groups) == set(curl.cell_groups)
@@ -83,6 +86,23 @@ def test_reads_what_gmsh_writes(tmp_path: Path, version: float) -> None:
         x = mesh.nodes[mesh.facet_groups[name]]
         normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]) / 2
         np.testing.assert_allclose(normal.sum(axis=0), [0, 0, up * 2e-6], atol=1e-15)
+
+
+def test_gmsh_opens_what_is_written(curl: TaggedMesh, tmp_path: Path) -> None:
+    import gmsh
+
+    path = write_mesh(curl, tmp_path / "body.msh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(path))
+        types, tags, _ = gmsh.model.mesh.getElements(3)
+        names = {gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups(3)}
+    finally:
+        gmsh.finalize()
+    assert list(types) == [5]
+    assert len(tags[0]) == len(curl.cells)
+    assert "servo_0+limit_layer" in names
 
 
 def test_reads_cell_sets(tmp_path: Path) -> None:
