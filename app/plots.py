@@ -1,0 +1,602 @@
+"""Pictures, drawn from the files of a results folder and nothing else.
+
+Three pictures: `curve.png` (computed beside the reference), `snapshots.png` (shapes along the
+path) and `final.png` (the last shape, coloured). Shapes are drawn with pyvista where its
+off-screen rendering works, tried once in a process of its own because a missing OpenGL library
+can kill the process that asks; elsewhere by a painter's algorithm in matplotlib, and the picture
+says so. Set FLEXAPOD_RENDERER to ``pyvista`` or ``matplotlib`` to choose.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexapod.app.outputs import CASE_FILE, COLLECTION_FILE, CURVE_FILE, SUMMARY_FILE, replacing
+from flexapod.core.errors import InputError
+from flexapod.geometry.tagged import HEX_FACES, TaggedMesh
+
+# Direction from which each view looks at the body, and the direction that is up.
+_VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "side": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+    "front": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "corner": ((0.45, -1.0, 0.42), (0.0, 0.0, 1.0)),
+}
+_BLUE, _RED, _GREY = "#1f5fa8", "#c8402a", "#8a8f98"
+_UNITS = {"deg": "°", "ml": "ml", "mm": "mm", "kPa": "kPa", "N": "N"}
+
+
+# --------------------------------------------------------------------------- reading
+
+
+@dataclass(frozen=True)
+class Results:
+    """A results folder as read back."""
+
+    folder: Path
+    case: dict[str, Any]
+    summary: dict[str, Any]
+    columns: dict[str, np.ndarray]
+    fields: tuple[Path, ...]
+
+
+def read_results(folder: Path) -> Results:
+    """Read case, summary and curve of a results folder, and list its field files."""
+    if not folder.is_dir():
+        raise InputError("no such folder; give the folder of a run", str(folder))
+    try:
+        case = tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8"))
+        with (folder / CURVE_FILE).open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.reader(stream))
+        columns = {
+            head: np.array([float(row[i]) for row in rows[1:]]) for i, head in enumerate(rows[0])
+        }
+    except FileNotFoundError as error:
+        name = Path(error.filename).name
+        raise InputError(f"not a results folder: {name} is missing", str(folder)) from None
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(f"cannot be read: {error}", str(folder)) from None
+    summary_path = folder / SUMMARY_FILE
+    summary = json.loads(summary_path.read_text(encoding="utf-8")) if summary_path.is_file() else {}
+    collection = folder / COLLECTION_FILE
+    names = (
+        re.findall(r'file="([^"]+)"', collection.read_text(encoding="utf-8"))
+        if collection.is_file()
+        else []
+    )
+    return Results(folder, case, summary, columns, tuple(folder / name for name in names))
+
+
+# --------------------------------------------------------------------------- shapes
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Outer faces of a body ready to draw.
+
+    Attributes
+    ----------
+    points
+        Positions [m], shape (point_count, 3).
+    quads
+        Corner indices, outward by the right hand, shape (quad_count, 4).
+    values
+        What the colours show: a value per point, smooth, or per quad, flat; shape
+        (point_count,) or (quad_count,).
+    """
+
+    points: np.ndarray
+    quads: np.ndarray
+    values: np.ndarray
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the values are given per point."""
+        return len(self.values) == len(self.points)
+
+    @property
+    def quad_values(self) -> np.ndarray:
+        """A value per quad."""
+        return self.values[self.quads].mean(axis=1) if self.smooth else self.values
+
+
+def boundary_quads(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces that belong to one cell only, outward, and the cell each belongs to."""
+    faces = cells[:, HEX_FACES].reshape(-1, 4)
+    key = np.sort(faces, axis=1)
+    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+    index = np.sort(first[count == 1])
+    return faces[index], index // 6
+
+
+def mirrored(skin: Skin, axes: Sequence[str]) -> Skin:
+    """The skin with its images at planes through the origin."""
+    for axis in axes:
+        points = skin.points.copy()
+        points[:, "xyz".index(axis)] *= -1.0
+        skin = Skin(
+            np.concatenate([skin.points, points]),
+            np.concatenate([skin.quads, skin.quads[:, ::-1] + len(skin.points)]),
+            np.concatenate([skin.values, skin.values]),
+        )
+    return skin
+
+
+def _window(
+    skins: Sequence[Skin], view: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Screen axes (right, up, towards the eye) and the bounds all skins need."""
+    towards = np.array(_VIEWS[view][0])
+    towards = towards / np.linalg.norm(towards)
+    up = np.array(_VIEWS[view][1])
+    right = np.cross(up, towards)
+    right = right / np.linalg.norm(right)
+    frame = np.array([right, np.cross(towards, right), towards])
+    screen = np.concatenate([skin.points[np.unique(skin.quads)] @ frame.T for skin in skins])
+    return frame, screen.min(axis=0), screen.max(axis=0), np.mean(screen, axis=0)
+
+
+@lru_cache(maxsize=1)
+def renderer() -> tuple[str, str | None]:
+    """Which renderer to use, and a notice when it is not pyvista."""
+    chosen = os.environ.get("FLEXAPOD_RENDERER", "")
+    if chosen in ("pyvista", "matplotlib"):
+        return chosen, None
+    trial = (
+        "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(32, 32)); "
+        "p.add_mesh(pv.Cube()); assert p.screenshot(None, return_img=True).std() > 0"
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", trial], capture_output=True, timeout=120, check=False
+        )
+        if done.returncode == 0:
+            return "pyvista", None
+        words = done.stderr.decode(errors="replace").strip().splitlines()
+        reason = words[-1] if words else f"exit {done.returncode}"
+    except (OSError, subprocess.TimeoutExpired) as error:
+        reason = str(error)
+    return "matplotlib", (
+        f"off-screen 3-D rendering does not work here ({reason[:120]}); drawn with matplotlib"
+    )
+
+
+def _draw_pyvista(
+    skin: Skin,
+    window: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    pixels: tuple[int, int],
+    limits: tuple[float, float],
+    colours: str,
+) -> np.ndarray:
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    # Without a display VTK warns about X before it takes EGL or OSMesa.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    frame, low, high, _ = window
+    surface = pyvista.PolyData(
+        skin.points, np.column_stack([np.full(len(skin.quads), 4), skin.quads]).ravel()
+    )
+    (surface.point_data if skin.smooth else surface.cell_data)["value"] = skin.values
+    plotter = pyvista.Plotter(off_screen=True, window_size=pixels)
+    plotter.set_background("white")
+    edges = len(skin.quads) < 30000
+    plotter.add_mesh(
+        surface,
+        scalars="value",
+        cmap=colours,
+        clim=limits,
+        show_scalar_bar=False,
+        show_edges=edges,
+        edge_color="#3a3f47",
+        line_width=0.5,
+        edge_opacity=0.35,
+        ambient=0.5,
+        diffuse=0.6,
+        specular=0.05,
+        interpolate_before_map=False,
+    )
+    plotter.enable_parallel_projection()
+    middle = frame.T @ (0.5 * (low + high))
+    reach = float(np.linalg.norm(high - low)) + 1e-9
+    plotter.camera.focal_point = middle
+    plotter.camera.position = middle + 3.0 * reach * frame[2]
+    plotter.camera.up = frame[1]
+    plotter.camera.parallel_scale = 0.5 * max(
+        high[1] - low[1], (high[0] - low[0]) * pixels[1] / pixels[0]
+    )
+    plotter.reset_camera_clipping_range()
+    plotter.enable_anti_aliasing("ssaa")
+    image = plotter.screenshot(None, return_img=True)
+    plotter.close()
+    return np.asarray(image)
+
+
+def _draw_matplotlib(
+    skin: Skin,
+    window: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    pixels: tuple[int, int],
+    limits: tuple[float, float],
+    colours: str,
+) -> np.ndarray:
+    from matplotlib import colormaps
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+
+    frame, low, high, _ = window
+    corners = skin.points[skin.quads] @ frame.T
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    front = normal[:, 2] > 0.0
+    light = np.array([-0.35, 0.6, 0.72])
+    shade = 0.55 + 0.45 * np.clip((normal @ light) / length, 0.0, 1.0)
+    scaled = (skin.quad_values - limits[0]) / max(limits[1] - limits[0], 1e-30)
+    rgba = colormaps[colours](np.clip(scaled, 0.0, 1.0))
+    rgba[:, :3] *= shade[:, None]
+    order = np.flatnonzero(front)
+    order = order[np.argsort(corners[order][:, :, 2].mean(axis=1))]
+    figure = Figure(figsize=(pixels[0] / 100, pixels[1] / 100), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.add_collection(
+        PolyCollection(
+            corners[order][:, :, :2],
+            facecolors=rgba[order],
+            edgecolors=(0.15, 0.17, 0.2, 0.45),
+            linewidths=0.2,
+        )
+    )
+    half = 0.5 * max(high[1] - low[1], (high[0] - low[0]) * pixels[1] / pixels[0])
+    centre = 0.5 * (low + high)
+    axes.set_xlim(
+        centre[0] - half * pixels[0] / pixels[1], centre[0] + half * pixels[0] / pixels[1]
+    )
+    axes.set_ylim(centre[1] - half, centre[1] + half)
+    axes.set_axis_off()
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def draw_skins(
+    skins: Sequence[Skin], view: str, width: int, limits: tuple[float, float], colours: str
+) -> list[np.ndarray]:
+    """Draw skins in one common window; images of shape (height, width, 3)."""
+    frame, low, high, middle = _window(skins, view)
+    margin = 0.04 * float(np.max(high - low)) + 1e-9
+    low, high = low - margin, high + margin
+    ratio = float((high[1] - low[1]) / (high[0] - low[0]))
+    pixels = (width, int(width * min(max(ratio, 0.25), 1.6)))
+    draw = _draw_pyvista if renderer()[0] == "pyvista" else _draw_matplotlib
+    return [draw(skin, (frame, low, high, middle), pixels, limits, colours) for skin in skins]
+
+
+# --------------------------------------------------------------------------- labels
+
+
+def label(head: str) -> str:
+    """Axis label of a column head: ``pressure_kPa`` becomes ``pressure [kPa]``."""
+    name, _, unit = head.rpartition("_")
+    if name and unit in _UNITS:
+        return f"{name.replace('_', ' ')} [{_UNITS[unit]}]"
+    return head.replace("_", " ")
+
+
+def amount(head: str, value: float) -> str:
+    """A value with its unit for a title: ``55 kPa``, ``183°``."""
+    name, _, unit = head.rpartition("_")
+    digits = f"{0.0 if abs(value) < 1e-9 else value:.3g}"
+    if not name or unit not in _UNITS:
+        return f"{head.replace('_', ' ')} {digits}"
+    return f"{digits}°" if unit == "deg" else f"{digits} {_UNITS[unit]}"
+
+
+def _axes_names(results: Results) -> tuple[str, list[str]]:
+    """Columns to draw: the plot table's, else the reference's, else the natural ones."""
+    plot = results.case.get("plot", {})
+    reference = results.summary.get("reference") or {}
+    heads = list(results.columns)
+    # What was done to the body goes along the axis: pressure, else a load that is not gravity.
+    causes = [name for name in heads if name.startswith("pressure")]
+    causes += [name for name in heads if name.startswith("load_") and name != "load_gravity"]
+    x = plot.get("x") or reference.get("x") or [*causes, "step"][0]
+    if plot.get("y"):
+        y = list(plot["y"])
+    elif reference.get("y"):
+        y = [reference["y"]]
+    else:
+        y = [name for name in heads if name not in (x, *causes)][:1]
+    for name in [x, *y]:
+        if name not in results.columns:
+            raise InputError(
+                f'no column "{name}"; the columns are {", ".join(results.columns)}',
+                f"{results.folder}: plot",
+            )
+    return x, y
+
+
+# --------------------------------------------------------------------------- pictures
+
+
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=160, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Any, path: Path) -> None:
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png", dpi=160)
+
+
+def _title(results: Results) -> str:
+    return str(results.case.get("title") or results.case.get("name") or results.folder.name)
+
+
+def plot_curve(results: Results, path: Path) -> None:
+    """Computed curve beside the reference, with the error as a number."""
+    x_name, y_names = _axes_names(results)
+    figure = _figure(6.4, 4.4)
+    axes = figure.add_subplot()
+    x = results.columns[x_name]
+    reference = results.summary.get("reference") or {}
+    if reference and reference.get("x") == x_name and reference.get("y") in y_names:
+        table = [row for row in reference["table"] if row["measured"] is not None]
+        points = np.array([row[x_name] for row in table])
+        polynomial = results.case.get("reference", {}).get("polynomial")
+        name = reference["name"]
+        if polynomial and len(points):
+            fine = np.linspace(points.min(), points.max(), 200)
+            axes.plot(fine, np.polyval(polynomial, fine), "-", color=_RED, lw=1.4, label=name)
+            name = None
+        axes.plot(
+            points, [row["measured"] for row in table], "s", ms=4.5, mfc="white", color=_RED,
+            label=name,
+        )  # fmt: skip
+    colours = [_BLUE, "#2e8b57", "#8e5ea2", _GREY]
+    for y_name, colour in zip(y_names, colours, strict=False):
+        text = "computed" if len(y_names) == 1 else label(y_name)
+        axes.plot(x, results.columns[y_name], "o-", ms=3.2, lw=1.6, color=colour, label=text)
+    error = reference.get("mean_relative_error")
+    lines = []
+    if error is not None:
+        lines.append(f"mean relative error {100 * error:.1f} %")
+        if reference.get("note"):
+            reached = f"{reference['points_reached']} of {reference['points']}"
+            lines.append(f"over {reached} points")
+    if reference.get("simulation_error") is not None:
+        lines.append(f"{reference['simulation_name']}: {100 * reference['simulation_error']:.1f} %")
+    status = results.summary.get("status", "done")
+    if status != "done":
+        lines.append(f"run ended: {status.replace('_', ' ')}")
+    if lines:
+        axes.text(
+            0.98, 0.03, "\n".join(lines), transform=axes.transAxes, ha="right", va="bottom",
+            fontsize=9, bbox={"boxstyle": "round", "fc": "white", "ec": "#cfd3d9"},
+        )  # fmt: skip
+    axes.set_xlabel(label(x_name))
+    axes.set_ylabel(label(y_names[0]) if len(y_names) == 1 else "")
+    axes.set_title(_title(results), fontsize=11)
+    axes.grid(True, color="#e4e7eb", lw=0.7)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.legend(frameon=False, fontsize=9, loc="upper left")
+    _save(figure, path)
+
+
+def _read_skin(path: Path, colour: str, axes: Sequence[str]) -> tuple[Skin, str]:
+    """Deformed skin of a field file, and the text of its colour bar."""
+    import meshio
+
+    mesh = meshio.read(path)
+    cells = np.concatenate([block.data for block in mesh.cells if block.type == "hexahedron"])
+    shift = np.asarray(mesh.point_data["displacement"], dtype=float)
+    quads, _ = boundary_quads(cells)
+    name = {"stretch": "principal_stretches", "pressure": "pressure"}.get(colour, "")
+    if name in mesh.cell_data:
+        data = np.concatenate(mesh.cell_data[name])
+        if colour == "stretch":
+            per_cell, text = data.max(axis=1), "largest principal stretch"
+        else:
+            per_cell, text = data / 1000.0, "pressure in the material [kPa]"
+        values = _smooth(per_cell, cells, len(mesh.points))
+    else:
+        values, text = 1000.0 * np.linalg.norm(shift, axis=1), "displacement [mm]"
+    # Only the skin's own points: those inside would widen the colours' range.
+    used, corners = np.unique(quads, return_inverse=True)
+    skin = Skin((mesh.points + shift)[used], corners.reshape(-1, 4), values[used])
+    return mirrored(skin, axes), text
+
+
+def _smooth(per_cell: np.ndarray, cells: np.ndarray, node_count: int) -> np.ndarray:
+    """Cell values averaged onto the nodes."""
+    total = np.zeros(node_count)
+    count = np.zeros(node_count)
+    np.add.at(total, cells.ravel(), np.repeat(per_cell, cells.shape[1]))
+    np.add.at(count, cells.ravel(), 1.0)
+    return np.asarray(total / np.maximum(count, 1.0))
+
+
+def _limits(skins: Sequence[Skin]) -> tuple[float, float]:
+    values = np.concatenate([skin.values for skin in skins])
+    low, high = np.percentile(values, [0.5, 99.5])
+    return float(low), float(high if high > low else low + 1.0)
+
+
+def _colour_bar(figure: Any, axes: Any, limits: tuple[float, float], text: str) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(*limits), "viridis"), ax=axes, shrink=0.7, pad=0.02, aspect=30
+    )
+    bar.set_label(text, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
+
+
+def _chosen_states(results: Results, x_name: str) -> list[int]:
+    """States nearest the wanted values of x; by default four, evenly over the path."""
+    x = results.columns[x_name]
+    count = min(len(x), len(results.fields))
+    if count == 0:
+        return []
+    x = x[:count]
+    wanted = results.case.get("plot", {}).get("snapshots")
+    if wanted is None:
+        wanted = np.linspace(x.min(), x.max(), 4) if np.ptp(x) > 0 else []
+        if len(wanted) == 0:
+            return sorted({int(i) for i in np.linspace(0, count - 1, 4).round()})
+    chosen: list[int] = []
+    for value in wanted:
+        if value > x.max() + 0.5 * np.ptp(x) / max(count - 1, 1):
+            continue
+        # The last of equal values: with gravity settled before the pressure rises.
+        index = count - 1 - int(np.argmin(np.abs(x[::-1] - value)))
+        if index not in chosen:
+            chosen.append(index)
+    return chosen or [count - 1]
+
+
+def plot_snapshots(results: Results, path: Path) -> None:
+    """Shapes along the path in one common window."""
+    x_name, y_names = _axes_names(results)
+    chosen = _chosen_states(results, x_name)
+    if not chosen:
+        raise InputError("there are no fields to draw", str(results.folder))
+    plot = results.case.get("plot", {})
+    pairs = [
+        _read_skin(results.fields[i], plot.get("colour", "stretch"), plot.get("mirror", []))
+        for i in chosen
+    ]
+    skins = [pair[0] for pair in pairs]
+    limits = _limits(skins)
+    images = draw_skins(skins, plot.get("view", "corner"), 700, limits, "viridis")
+    height, width = images[0].shape[:2]
+    columns = len(images) if height > 0.8 * width else min(2, len(images))
+    rows = -(-len(images) // columns)
+    each = 9.0 / max(columns, 2)
+    figure = _figure(each * columns + 1.0, rows * (each * height / width + 0.35) + 0.45)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.ravel():
+        axes.set_axis_off()
+    for axes, image, index in zip(grid.ravel(), images, chosen, strict=False):
+        axes.imshow(image)
+        texts = [amount(name, results.columns[name][index]) for name in [x_name, y_names[0]]]
+        axes.set_title(", ".join(texts), fontsize=10)
+    _colour_bar(figure, grid.ravel().tolist(), limits, pairs[0][1])
+    figure.suptitle(_title(results), fontsize=11)
+    _save(figure, path)
+
+
+def plot_final(results: Results, path: Path) -> None:
+    """The last state, large."""
+    if not results.fields:
+        raise InputError("there are no fields to draw", str(results.folder))
+    plot = results.case.get("plot", {})
+    skin, text = _read_skin(
+        results.fields[-1], plot.get("colour", "stretch"), plot.get("mirror", [])
+    )
+    limits = _limits([skin])
+    image = draw_skins([skin], plot.get("view", "corner"), 1300, limits, "viridis")[0]
+    height, width = image.shape[:2]
+    figure = _figure(8.0, 7.0 * height / width + 0.5)
+    axes = figure.add_subplot()
+    axes.imshow(image)
+    axes.set_axis_off()
+    x_name, y_names = _axes_names(results)
+    texts = [amount(name, results.columns[name][-1]) for name in [x_name, y_names[0]]]
+    axes.set_title(f"{_title(results)}: {', '.join(texts)}", fontsize=11)
+    _colour_bar(figure, axes, limits, text)
+    _save(figure, path)
+
+
+def draw_all(folder: Path) -> tuple[list[Path], list[str]]:
+    """Redraw every picture of a results folder; the paths, and notices about what fell short."""
+    results = read_results(folder)
+    written: list[Path] = []
+    notices: list[str] = []
+    target = folder / "plots"
+    plot_curve(results, target / "curve.png")
+    written.append(target / "curve.png")
+    if results.fields:
+        notice = renderer()[1]
+        if notice:
+            notices.append(notice)
+        for name, draw in (("snapshots", plot_snapshots), ("final", plot_final)):
+            draw(results, target / f"{name}.png")
+            written.append(target / f"{name}.png")
+    return written, notices
+
+
+def plot_mesh(mesh: TaggedMesh, path: Path, title: str, view: str = "corner") -> str | None:
+    """Picture of a mesh with its surface groups coloured; a notice when drawn by matplotlib."""
+    from matplotlib import colormaps
+    from matplotlib.patches import Patch
+
+    quads, owner = boundary_quads(mesh.cells)
+    keys = {tuple(sorted(quad)): i for i, quad in enumerate(quads.tolist())}
+    values = np.zeros(len(quads))
+    names: list[str] = []
+    shared = [name for name in mesh.cell_groups if len(mesh.cell_groups[name]) > 0]
+    for name in shared:
+        inside = np.isin(owner, mesh.cell_groups[name])
+        if 0 < inside.sum() < len(quads):
+            names.append(f"{name} (cells)")
+            values[inside] = len(names)
+    for name, group in mesh.facet_groups.items():
+        index = [keys[key] for quad in group.tolist() if (key := tuple(sorted(quad))) in keys]
+        if index and name not in mesh.cavities:
+            names.append(name)
+            values[index] = len(names)
+    palette = colormaps["tab20"]
+    count = max(len(names), 1)
+    colours = _listed(["#c9ced6", *(palette(i % 20) for i in range(len(names)))])
+    skin = Skin(mesh.nodes, quads, values)
+    image = draw_skins([skin], view, 1300, (-0.5, count + 0.5), colours)[0]
+    height, width = image.shape[:2]
+    used = [i + 1 for i in range(len(names)) if np.any(values == i + 1)]
+    rows = -(-(len(used) + 1) // 4)
+    figure = _figure(8.0, 8.0 * height / width + 0.5 + 0.22 * rows)
+    axes = figure.add_subplot()
+    axes.imshow(image)
+    axes.set_axis_off()
+    axes.set_title(f"{title}: {len(mesh.cells)} hexahedra, {len(mesh.nodes)} nodes", fontsize=11)
+    patches = [Patch(color=palette((i - 1) % 20), label=names[i - 1]) for i in used]
+    figure.legend(
+        handles=[Patch(color="#c9ced6", label="other faces"), *patches],
+        loc="outside lower center",
+        ncols=min(4, len(used) + 1),
+        frameon=False,
+        fontsize=8,
+    )
+    _save(figure, path)
+    return renderer()[1]
+
+
+def _listed(colours: list[Any]) -> str:
+    """Register a colour map of given colours; its name, as both renderers take one."""
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    name = "flexapod-groups"
+    colour_map = ListedColormap(colours if len(colours) > 1 else colours * 2, name=name)
+    matplotlib.colormaps.register(colour_map, force=True)
+    return name

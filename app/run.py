@@ -1,0 +1,380 @@
+"""From a case to its results folder."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexapod.app.assemble import Assembly, assemble, build_mesh, builder_options, mesh_hash
+from flexapod.app.case import LoadedCase, package_version
+from flexapod.app.outputs import (
+    OutputState,
+    ResultsFolder,
+    compare,
+    peak_memory,
+    reference_values,
+)
+from flexapod.app.probes import Probe, make_probes
+from flexapod.core.errors import InputError, Status
+
+if TYPE_CHECKING:
+    from flexapod.fem.static import Increment, PathState
+    from flexapod.geometry.tagged import TaggedMesh
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands, for the person who waits."""
+
+    fraction: float  # of the whole path, 0 to 1
+    step: str
+    row: dict[str, float]
+    is_output: bool
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended; `summary` is what summary.json holds."""
+
+    status: Status
+    message: str
+    folder: Path
+    summary: dict[str, Any]
+
+
+@contextmanager
+def stdout_to_stderr() -> Iterator[None]:
+    """Send whatever C libraries print to standard error: standard output is for the answer."""
+    sys.stdout.flush()
+    try:
+        saved = os.dup(1)
+    except OSError:  # no standard output at all
+        yield
+        return
+    try:
+        os.dup2(2, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+
+
+@contextmanager
+def _notices(say: Callable[[str], None]) -> Iterator[list[str]]:
+    """Turn Python warnings into notices, each once."""
+    heard: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield heard
+    for warning in caught:
+        text = str(warning.message)
+        if issubclass(warning.category, UserWarning) and text not in heard:
+            heard.append(text)
+            say(text)
+
+
+class _Recorder:
+    """Writes states as the path accepts them."""
+
+    def __init__(
+        self,
+        loaded: LoadedCase,
+        parts: Assembly,
+        folder: ResultsFolder,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        self.loaded = loaded
+        self.parts = parts
+        self.folder = folder
+        self.progress = progress
+        self.probes: list[Probe] = make_probes(loaded, parts.mesh)
+        self.previous = {probe.head: 0.0 for probe in self.probes}
+        pressures = loaded.case.pressure
+        self.pressure_heads = {
+            load.name: "pressure_kPa" if len(pressures) == 1 else f"pressure_{load.name}_kPa"
+            for load in pressures
+        }
+        self.pressure_values = {load.name: load.value for load in pressures}
+        self.unwritten: tuple[float, dict[str, float], dict[str, float]] | None = None
+
+    def row(self, time_: float, u: np.ndarray, factors: dict[str, float]) -> dict[str, float]:
+        """Columns of a state; moves the rotation probes' turn count on."""
+        problem = self.parts.problem
+        row: dict[str, float] = {
+            head: factors.get(name, 0.0) * self.pressure_values[name] / 1000.0
+            for name, head in self.pressure_heads.items()
+        }
+        reactions = problem.reactions(u, factors)
+        x = problem.positions(u)
+        for probe in self.probes:
+            value = probe.sample(x, reactions, self.previous[probe.head])
+            self.previous[probe.head] = value
+            row[probe.head] = value
+        for name in problem.load_names:
+            if name not in self.pressure_heads:
+                row[f"load_{name}"] = factors.get(name, 0.0)
+        row["step"] = time_
+        return row
+
+    def write(self, time_: float, u: np.ndarray, row: dict[str, float]) -> None:
+        """Write a state with its fields."""
+        problem, body = self.parts.problem, self.parts.body
+        fields = body.fields(u)
+        row = {
+            **row,
+            "largest_stretch": float(fields.principal_stretches.max()),
+            "least_stretch": float(fields.principal_stretches.min()),
+        }
+        pressure = np.zeros(body.node_count)
+        x = problem.positions(u)
+        for contact in problem.contacts:
+            pressure = np.maximum(pressure, contact.nodal_pressure(x))
+        state = OutputState(
+            time_,
+            row,
+            u,
+            {"contact_pressure": pressure},
+            {
+                "pressure": fields.pressure,
+                "principal_stretches": fields.principal_stretches,
+                "cauchy_stress": fields.cauchy_stress.reshape(-1, 9),
+                "material": body.material.astype(np.int32),
+            },
+        )
+        self.folder.write_state(self.parts.mesh.nodes, self.parts.mesh.cells, state)
+
+    def start(self) -> None:
+        """Write the undeformed state."""
+        u = np.zeros((self.parts.body.node_count, 3))
+        self.write(0.0, u, self.row(0.0, u, {}))
+
+    def accept(self, increment: Increment) -> None:
+        """Take an accepted equilibrium: write it if it is an output, and tell how far it is."""
+        state = increment.state
+        time_ = state.step + state.time
+        row = self.row(time_, state.u, state.factors)
+        if increment.is_output:
+            self.write(time_, state.u, row)
+            self.checkpoint(state)
+            self.unwritten = None
+        else:
+            self.unwritten = (time_, row, dict(state.factors))
+        self.progress(
+            Progress(time_ / len(self.parts.steps), increment.step_name, row, increment.is_output)
+        )
+
+    def keep_last(self, state: PathState) -> None:
+        """After a path that stopped between outputs: write the last equilibrium too."""
+        if self.unwritten is not None:
+            time_, row, _ = self.unwritten
+            self.write(time_, state.u, row)
+            self.unwritten = None
+
+    def checkpoint(self, state: PathState) -> None:
+        """Keep everything the path needs to go on."""
+        arrays = {"u": state.u}
+        if state.velocity is not None:
+            arrays["velocity"] = state.velocity
+        for index, history in enumerate(state.history):
+            arrays[f"history_{index}"] = history
+        about = {
+            "step": state.step,
+            "time": state.time,
+            "factors": state.factors,
+            "increment": state.increment,
+            "history_count": len(state.history),
+            "damped_work": state.damped_work,
+            "previous": self.previous,
+            "flexapod_version": package_version(),
+        }
+        self.folder.write_checkpoint(arrays, about)
+
+    def resume(self) -> PathState | None:
+        """State to go on from, or None where the earlier run left none."""
+        from flexapod.fem.static import PathState
+
+        kept = self.folder.read_checkpoint()
+        if kept is None:
+            return None
+        arrays, about = kept
+        if arrays["u"].shape != (self.parts.body.node_count, 3):
+            raise InputError(
+                "the checkpoint is of another mesh; run without --resume", str(self.folder.path)
+            )
+        self.previous.update({k: v for k, v in about["previous"].items() if k in self.previous})
+        return PathState(
+            u=arrays["u"],
+            step=about["step"],
+            time=about["time"],
+            factors=dict(about["factors"]),
+            increment=about["increment"],
+            velocity=arrays.get("velocity"),
+            history=[arrays[f"history_{i}"] for i in range(about["history_count"])],
+            damped_work=about["damped_work"],
+        )
+
+
+def resolve(loaded: LoadedCase, mesh: TaggedMesh | None) -> dict[str, Any]:
+    """The case as it is run: all defaults, version and, with a mesh, its digest."""
+    info: dict[str, Any] = {}
+    if mesh is not None:
+        info = {
+            "mesh_hash": mesh_hash(mesh),
+            "elements": len(mesh.cells),
+            "nodes": len(mesh.nodes),
+        }
+    resolved = loaded.resolved(**info)
+    if loaded.case.mesh.builder is not None:
+        options = builder_options(loaded.case.mesh, loaded.source)
+        resolved["mesh"] = {"builder": loaded.case.mesh.builder, **options}
+    return resolved
+
+
+def run_case(
+    loaded: LoadedCase,
+    out: Path,
+    *,
+    resume: bool = False,
+    progress: Callable[[Progress], None] = lambda _: None,
+    say: Callable[[str], None] = lambda _: None,
+) -> RunResult:
+    """Run a case into a folder; a path that stops early is a status, not an exception.
+
+    Parameters
+    ----------
+    loaded
+        The case.
+    out
+        Results folder; see `ResultsFolder.open` for what may be there already.
+    resume
+        Go on from the folder's last checkpoint.
+    progress, say
+        Called with each accepted state, and with each notice.
+    """
+    with stdout_to_stderr():
+        return _run(loaded, out, resume, progress, say)
+
+
+def _run(
+    loaded: LoadedCase,
+    out: Path,
+    resume: bool,
+    progress: Callable[[Progress], None],
+    say: Callable[[str], None],
+) -> RunResult:
+    from flexapod.fem.static import solve_path
+
+    began = time.perf_counter()
+    # The folder and the reference are checked before the mesh is built: a wrong --out or a
+    # missing file should not cost a minute.
+    reference, measured = loaded.case.reference, []
+    if reference is not None:
+        file = loaded.path(reference.file) if reference.file is not None else None
+        measured = reference_values(reference, file)
+    folder = ResultsFolder.open(out, resolve(loaded, None), resume=resume)
+    with _notices(say) as notices:
+        mesh = build_mesh(loaded)
+        parts = assemble(loaded, mesh)
+    recorder = _Recorder(loaded, parts, folder, progress)
+    if reference is not None:
+        _check_columns(loaded, recorder)
+    folder.write_case(resolve(loaded, mesh))
+    say(f"{len(mesh.cells)} hexahedra, {len(mesh.nodes)} nodes")
+
+    start = recorder.resume() if resume else None
+    if resume and start is None:
+        say("the earlier run left no checkpoint: starting from the beginning")
+        folder.clear()
+    if start is None:
+        recorder.start()
+    else:
+        say(f"going on from step {start.step + start.time:.3f} of {len(parts.steps)}")
+    result = solve_path(
+        parts.problem, parts.steps, parts.options, recorder.accept, start, on_message=say
+    )
+    recorder.keep_last(result.state)
+    summary = {
+        "case": loaded.name,
+        "title": loaded.case.title,
+        "status": result.status.name.lower(),
+        "message": result.message,
+        "version": package_version(),
+        "elements": len(mesh.cells),
+        "nodes": len(mesh.nodes),
+        "wall_time_s": time.perf_counter() - began,
+        "peak_memory_bytes": peak_memory(),
+        "resumed": start is not None,
+        "results": _results(folder, parts, result),
+        "reference": compare(folder.rows, reference, measured) if reference is not None else None,
+        "warnings": notices,
+        "folder": str(out),
+    }
+    folder.write_summary(summary)
+    try:
+        from flexapod.app.plots import draw_all
+
+        _, plot_notices = draw_all(out)
+    except Exception as error:
+        # The numbers are safe on disk; a picture that fails must not turn success into failure.
+        plot_notices = [f"pictures could not be drawn: {type(error).__name__}: {error}"]
+    for text in plot_notices:
+        say(text)
+    summary["warnings"] = [*notices, *plot_notices]
+    summary["wall_time_s"] = time.perf_counter() - began
+    summary["peak_memory_bytes"] = peak_memory()
+    folder.write_summary(summary)
+    return RunResult(result.status, result.message, out, summary)
+
+
+def _check_columns(loaded: LoadedCase, recorder: _Recorder) -> None:
+    reference = loaded.case.reference
+    assert reference is not None
+    heads = [*recorder.pressure_heads.values(), *(probe.head for probe in recorder.probes)]
+    heads += [f"load_{n}" for n in loaded.case.load_names if n not in recorder.pressure_heads]
+    heads += ["step"]
+    for key in ("x", "y"):
+        head = getattr(reference, key)
+        if head not in heads:
+            raise InputError(
+                f'no column "{head}"; the columns of this case are {", ".join(heads)}',
+                f"{loaded.source}: reference.{key}",
+            )
+
+
+def _results(folder: ResultsFolder, parts: Assembly, result: Any) -> dict[str, Any]:
+    stats = result.stats
+    last = folder.rows[-1] if folder.rows else {}
+    results: dict[str, Any] = {
+        **last,
+        "states": len(folder.rows),
+        "solid_mass_kg": float(parts.body.node_mass.sum()),
+        "carried_mass_kg": float(parts.node_mass.sum() - parts.body.node_mass.sum()),
+        "increments": stats.increments,
+        "newton_iterations": stats.iterations,
+        "cutbacks": stats.cutbacks,
+        "damped_increments": stats.damped_increments,
+        "damped_work_J": result.state.damped_work,
+        "solve_time_s": stats.wall_time,
+    }
+    x = parts.problem.positions(result.state.u)
+    contacts = {}
+    for contact in parts.problem.contacts:
+        report = contact.report(x)
+        contacts[contact.name] = {
+            "force_N": report.force,
+            "area_mm2": 1e6 * report.area,
+            "largest_penetration_mm": 1e3 * report.largest_penetration,
+            "largest_pressure_kPa": 1e-3 * report.largest_pressure,
+        }
+    if contacts:
+        results["contacts"] = contacts
+    return results
