@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,14 +13,6 @@ from flexapod.core.units import read_quantity, write_quantity
 
 if TYPE_CHECKING:
     from flexapod.materials.fit import FitResult
-
-FIT_EPILOG = (
-    "Examples:\n\n"
-    "flexapod fit tensile.csv --terms 3 --plot fit.png\n\n"
-    "flexapod fit tensile.csv --stable --density '1080 kg/m^3' --out material.toml\n\n"
-    "flexapod fit --uniaxial ut.csv --equibiaxial et.csv --planar ps.csv --weights relative\n\n"
-    "flexapod fit instron.csv --area '18 mm^2' --gauge-length '33 mm' --json"
-)
 
 
 def fit_command(
@@ -126,7 +116,18 @@ def fit_command(
         bool, typer.Option("--json", help="Print one JSON object and nothing else.")
     ] = False,
 ) -> None:
-    """Fit a hyperelastic law to one or several tensile tests at once."""
+    """Fit a hyperelastic law to one or several tensile tests at once.
+
+    Examples:
+
+    flexapod fit tensile.csv --terms 3 --plot fit.png
+
+    flexapod fit tensile.csv --stable --density "1080 kg/m^3" --out material.toml
+
+    flexapod fit --uniaxial ut.csv --equibiaxial et.csv --planar ps.csv --weights relative
+
+    flexapod fit instron.csv --area "18 mm^2" --gauge-length "33 mm" --json
+    """
     result = fit_files(
         uniaxial=([data] if data is not None else []) + list(uniaxial or []),
         equibiaxial=list(equibiaxial or []),
@@ -196,19 +197,12 @@ def fit_files(
 
 def _write_whole(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
-    handle, name = -1, ""
+    from flexapod.app.outputs import replacing
+
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, path)
+        with replacing(path) as partial:
+            partial.write_bytes(content)
     except OSError as error:
-        if name and os.path.exists(name):
-            os.unlink(name)
         raise InputError(f"cannot be written: {error.strerror}", str(path)) from None
 
 

@@ -726,16 +726,23 @@ def _warnings(
     certificate: Certificate,
 ) -> list[str]:
     said = [note for d in sets for note in d.notes]
-    measured = {d.mode for d in sets}
-    for mode, (low, high) in asked_ranges(sets).items():
-        for end, side in ((low, "low"), (high, "high")):
-            if not ranges[mode].contains(end):
-                what = "the data reach" if mode in measured else "the data are equivalent to"
-                limit = getattr(ranges[mode], side)
+    for d in sets:
+        for end in (float(d.stretch.min()), float(d.stretch.max())):
+            if not ranges[d.mode].contains(end):
+                stable = ranges[d.mode]
                 said.append(
-                    f"unstable: {what} a stretch of {end:.4g} in {mode}, but the law is stable "
-                    f"only to {limit:.4g} there; ask for a stable fit (--stable)"
+                    f"unstable: {d.name} reaches a stretch of {end:.4g} in {d.mode}, but the law "
+                    f"is stable only from {stable.low:.4g} to {stable.high:.4g}; ask for a stable "
+                    "fit (--stable)"
                 )
+    for mode, (low, high) in asked_ranges(sets).items():
+        stable = ranges[mode]
+        if not (stable.contains(low) and stable.contains(high)):
+            said.append(
+                f"unstable: deformations as large as the data's are stretches of {low:.4g} to "
+                f"{high:.4g} in {mode}, where the law is stable only from {stable.low:.4g} to "
+                f"{stable.high:.4g}"
+            )
     for mode, band in certificate.bands.items():
         if not band.measured and band.relative_width > 0.1:
             width = band.relative_width
