@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from flexapod.materials.fit import FitResult
 
 
+_PICTURES = (".png", ".svg", ".pdf")
+_PICTURES_TEXT = ".png, .svg or .pdf"
+
+
 def fit_command(
     data: Annotated[
         Path | None,
@@ -128,6 +132,11 @@ def fit_command(
 
     flexapod fit instron.csv --area "18 mm^2" --gauge-length "33 mm" --json
     """
+    if out is not None and out.suffix.lower() != ".toml":
+        raise InputError(f"--out must name a .toml file, got {out.name}", str(out))
+    if plot is not None and plot.suffix.lower() not in _PICTURES:
+        raise InputError(f"--plot must name a {_PICTURES_TEXT} file, got {plot.name}", str(plot))
+    mass_density = read_quantity(density, "kg/m^3", "--density") if density is not None else None
     result = fit_files(
         uniaxial=([data] if data is not None else []) + list(uniaxial or []),
         equibiaxial=list(equibiaxial or []),
@@ -142,7 +151,6 @@ def fit_command(
             read_quantity(gauge_length, "m", "--gauge-length") if gauge_length is not None else None
         ),
     )
-    mass_density = read_quantity(density, "kg/m^3", "--density") if density is not None else None
     if out is not None:
         write_material(result, out, mass_density)
     if plot is not None:
@@ -234,8 +242,6 @@ def write_material(result: FitResult, path: Path, density: float | None = None) 
     """Write the law as a material file that `flexapod.materials.library` reads."""
     import tomli_w
 
-    if path.suffix.lower() != ".toml":
-        raise InputError(f"--out must name a .toml file, got {path.name}", str(path))
     text = tomli_w.dumps(material_table(result, path.stem, density))
     _write_whole(path, text.encode())
 
@@ -295,9 +301,6 @@ def plot_fit(result: FitResult, path: Path) -> None:
 
     from flexapod.materials.modes import nominal_stress
 
-    suffix = path.suffix.lower().lstrip(".")
-    if suffix not in ("png", "svg", "pdf"):
-        raise InputError(f"--plot must name a .png, .svg or .pdf file, got {path.name}", str(path))
     figure = Figure(figsize=(12.6, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)
@@ -376,5 +379,5 @@ def plot_fit(result: FitResult, path: Path) -> None:
         fontsize=12,
     )
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix, dpi=150)
+    figure.savefig(buffer, format=path.suffix.lower().lstrip("."), dpi=150)
     _write_whole(path, buffer.getvalue())

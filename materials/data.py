@@ -250,11 +250,11 @@ def _loading_only(stretch: np.ndarray) -> np.ndarray:
 
 
 def _note_offset(stretch: np.ndarray, stress: np.ndarray, note: Callable[[str, str], None]) -> None:
-    """Report the stress a straight line through the first points has at stretch 1."""
-    near = np.argsort(np.abs(stretch - 1.0), kind="stable")[:5]
-    if near.size < 5 or np.abs(stretch[near] - 1.0).max() > 0.3:
+    """Report the stress that a parabola through the first eight points has at stretch 1."""
+    near = np.argsort(np.abs(stretch - 1.0), kind="stable")[:8]
+    if near.size < 8 or np.abs(stretch[near] - 1.0).max() > 0.5:
         return
-    slope, level = np.polyfit(stretch[near] - 1.0, stress[near], 1)
+    _, slope, level = np.polyfit(stretch[near] - 1.0, stress[near], 2)
     largest = float(np.abs(stress).max())
     if slope > 0.0 and abs(level) > _OFFSET_FRACTION * largest:
         note(
