@@ -26,6 +26,8 @@ _NUMBER = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s
 # "cm2" and "m3" as laboratories write them; "H2O" is left alone.
 _POWER = re.compile(r"([A-Za-z])(-?\d)(?![A-Za-z0-9_])")
 
+_ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "turn", "grade"}
+
 # What to show in messages, by SI unit: the noun and an example.
 _EXAMPLES: dict[str, tuple[str, str]] = {
     "Pa": ("pressure", "55 kPa"),
@@ -65,9 +67,8 @@ def _factor(unit_text: str, si_unit: str) -> float:
     """SI units per one `unit_text`; raises pint's own errors."""
     registry = _registry()
     parsed = registry.parse_units(_POWER.sub(r"\1^\2", unit_text))
-    if str(parsed) == "dimensionless":
-        # Without this "20 %" or "20 radian/degree" would pass for an angle, which pint counts
-        # among the dimensionless.
+    if parsed.dimensionless and str(parsed) not in _ANGLES:
+        # Pint counts angles among the dimensionless, so "20 %" would pass for 0.2 rad.
         raise ValueError("no unit")
     return float(registry.Quantity(1.0, parsed).to(si_unit).magnitude)
 

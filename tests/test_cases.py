@@ -1,0 +1,95 @@
+"""Every shipped case loads, names only groups its mesh has, and starts to run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexapod.app import plots
+from flexapod.app.assemble import assemble, build_mesh
+from flexapod.app.case import LoadedCase, load_case, shipped_cases
+from flexapod.app.probes import make_probes
+from flexapod.app.run import run_case
+from flexapod.core.errors import Status
+
+COARSE = {
+    "curl": ["mesh.size=coarse", "mesh.units=4", "mesh.servos=false", "material.1.group=main"],
+    "turn": ["mesh.size=coarse", "mesh.units=4"],
+    "free_curl": ["mesh.size=coarse", "mesh.units=2"],
+}
+
+
+@pytest.fixture(autouse=True)
+def _matplotlib_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    plots.renderer.cache_clear()
+    monkeypatch.setenv("FLEXAPOD_RENDERER", "matplotlib")
+
+
+def _coarse(name: str, *more: str) -> LoadedCase:
+    return load_case(name, [*COARSE.get(name, []), *more])
+
+
+@pytest.mark.parametrize("name", sorted(shipped_cases()))
+def test_everything_a_case_names_exists(name: str) -> None:
+    loaded = _coarse(name)
+    mesh = build_mesh(loaded)
+    parts = assemble(loaded, mesh)
+    make_probes(loaded, mesh)
+    assert parts.body.cell_count > 0
+    assert [step.name for step in parts.steps] == [step.name for step in loaded.case.steps]
+    assert np.all(parts.node_mass > 0.0)
+
+
+def test_carried_mass_of_the_whole_body() -> None:
+    loaded = _coarse("curl", "mesh.symmetry=half", "support.1.surface=side_right")
+    parts = assemble(loaded, build_mesh(loaded))
+    carried = parts.node_mass.sum() - parts.body.node_mass.sum()
+    # Half of what the whole body carries, whatever the mesh.
+    assert carried == pytest.approx(0.5 * loaded.case.mass[0].total, rel=1e-9)
+
+
+def test_contact_stiffness_is_the_papers() -> None:
+    loaded = _coarse("curl", "material=[{use='dragon-skin-20-sospider'}]")
+    contacts = assemble(loaded, build_mesh(loaded)).problem.contacts
+    plane, chambers, mirror = (contact.law.stiffness for contact in contacts)  # type: ignore[attr-defined]
+    millimetres = 1000.0**1.5  # N/m^1.5 per N/mm^1.5
+    assert chambers / millimetres == pytest.approx(97.0, abs=0.5)  # SoSpider, section 3.3
+    assert plane / millimetres == pytest.approx(194.0, abs=1.0)  # against metal
+    assert mirror == pytest.approx(4.0 * chambers)  # F = k (2 d)**2
+
+
+def test_free_curl_curls_and_contact_keeps_chambers_apart(tmp_path: Path) -> None:
+    loaded = _coarse("free_curl", "pressure.inflation.value=8 kPa", "step.inflate.outputs=4")
+    result = run_case(loaded, tmp_path / "r")
+    assert result.status is Status.DONE, result.message
+    results = result.summary["results"]
+    # Measured 2026-11: 24 deg for two units at 8 kPa on this mesh; curls upwards and grows.
+    assert 10.0 < results["angle_deg"] < 40.0
+    assert results["air_ml"] > 0.0
+    assert results["least_stretch"] < 1.0 < results["largest_stretch"]
+
+
+def test_own_mesh_shows_every_kind_of_probe_and_load(tmp_path: Path) -> None:
+    loaded = load_case("own_mesh", ["step.inflate.outputs=1", "step.push.outputs=1"])
+    result = run_case(loaded, tmp_path / "r")
+    assert result.status is Status.DONE, result.message
+    case = loaded.case
+    assert case.force
+    assert case.traction
+    assert case.displacement
+    assert case.gravity is not None
+    assert {probe.type for probe in case.probe} == {
+        "rotation",
+        "displacement",
+        "reaction",
+        "volume",
+    }
+    results = result.summary["results"]
+    contact = results["contacts"]["pair_0"]
+    # The foot of the block carries what the finger presses on it, and its own weight.
+    block = 0.016 * 0.016 * 0.008 * 1200 * 9.8
+    assert results["push_force_N"] == pytest.approx(contact["force_N"][2] + block, rel=2e-3)
+    assert contact["force_N"][2] > 0.0
+    assert results["air_ml"] > 1.664  # more than the 52 x 8 x 4 mm3 it started with
