@@ -47,7 +47,7 @@ def fit_command(
     terms: Annotated[
         int | None,
         typer.Option(
-            "--terms", help="Number of terms of ogden or yeoh [default: 3].", show_default=False
+            "--terms", help="Number of terms of ogden or yeoh (3 if left out).", show_default=False
         ),
     ] = None,
     max_stretch: Annotated[

@@ -38,8 +38,8 @@ from scipy.optimize import least_squares, nnls
 
 from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.materials.data import TensileData
-from flexapod.materials.law import HyperelasticLaw
 from flexapod.materials.kernels import principal_stresses
+from flexapod.materials.law import HyperelasticLaw
 from flexapod.materials.modes import (
     MODES,
     direction,
@@ -68,6 +68,7 @@ _DRAWS = 400
 _STARTS = 6  # starts polished a little ...
 _FINALISTS = 3  # ... of which so many to the end
 _ALPHA_LIMIT = 15.0
+_SEARCH_POINTS = 800  # per set
 # Stable fits: least margin asked for, over G, and how hard a violation pulls.
 _MARGIN = 0.02
 _PENALTY = 1.0
@@ -271,6 +272,14 @@ class _Problem:
             return MooneyRivlin(float(w[0]), float(w[1]))
         return Yeoh(*(float(v) for v in w))
 
+    def unknowns(self, law: HyperelasticLaw) -> tuple[np.ndarray, np.ndarray]:
+        """(w, alpha) of a law of this model, the reverse of `law`."""
+        p = law.parameters()
+        if self.model == "ogden":
+            return 0.5 * p.mu * p.alpha, p.alpha
+        values = next(iter(law.coefficients().values()))
+        return np.array(values[: self.terms]), np.zeros(0)
+
     def rms(self, law: HyperelasticLaw) -> float:
         """RMS weighted residual of a law."""
         r = self.column(law) - self.target
@@ -385,17 +394,24 @@ def fit_law(
     problem = _Problem(model, count, sets, weights)
     rng = np.random.default_rng(seed)
 
-    plain, polished = _search(problem, rng, square=False)
-    candidates = list(plain)
+    # Long files are searched on some of their points and polished on all.
+    some = _Problem(model, count, tuple(_thinned(d) for d in sets), weights)
+    found, polished = _search(some, rng, square=False)
     if stable or model == "ogden":
         # Without --stable too: where squares fit as well, they cancel least.
-        squares, square_starts = _search(problem, rng, square=True)
-        candidates += squares
+        squares, square_starts = _search(some, rng, square=True)
+        found += squares
         polished += square_starts
     if model != "neo-hooke":
         for w, alpha in polished if stable else polished[:2]:
-            guarded = problem.law(*problem.polish(w, alpha, guard=True, evaluations=150))
-            candidates.append((problem.rms(guarded), guarded))
+            found.append(some.law(*some.polish(w, alpha, guard=True, evaluations=150)))
+    if some.target.size < problem.target.size:
+        best = sorted((law for law in found if law.shear_modulus > 0.0), key=some.rms)
+        for law in best[:_FINALISTS]:
+            w, alpha = some.unknowns(law)
+            guard = some.is_stable(law)
+            found.append(problem.law(*problem.polish(w, alpha, guard=guard, evaluations=60)))
+    candidates = [(problem.rms(law), law) for law in found]
     usable = [
         (r, law)
         for r, law in candidates
@@ -449,6 +465,17 @@ def fit_law(
     )
 
 
+def _thinned(data: TensileData) -> TensileData:
+    """At most `_SEARCH_POINTS` of the fitted points, evenly taken, the ends among them."""
+    fitted = np.flatnonzero(data.fitted)
+    if fitted.size <= _SEARCH_POINTS:
+        return data
+    pick = fitted[np.unique(np.linspace(0, fitted.size - 1, _SEARCH_POINTS).round().astype(int))]
+    return TensileData(
+        data.name, data.mode, data.stretch[pick], data.stress[pick], np.ones(pick.size, dtype=bool)
+    )
+
+
 def _checked(
     data: Iterable[TensileData], model: str, terms: int | None, weights: str
 ) -> tuple[tuple[TensileData, ...], int]:
@@ -481,24 +508,23 @@ def _checked(
     return sets, count
 
 
-_Rated = list[tuple[float, HyperelasticLaw]]  # RMS residual and law
+_Laws = list[HyperelasticLaw]
 _Starts = list[tuple[np.ndarray, np.ndarray]]  # (w, alpha)
 
 
-def _search(problem: _Problem, rng: np.random.Generator, *, square: bool) -> tuple[_Rated, _Starts]:
+def _search(problem: _Problem, rng: np.random.Generator, *, square: bool) -> tuple[_Laws, _Starts]:
     """Random exponents with their best linear coefficients, the best of them polished.
 
     Returns every good law met, and the (w, alpha) the polishing ended at.
     """
-    found: _Rated = []
+    found: _Laws = []
     ends: _Starts = []
     n = problem.terms
     if not problem.exponent_count:
         none = np.zeros(0)
         w = problem.linear(problem.columns(none), problem.target, square)
         w, _ = problem.polish(w, none, square=square)
-        law = problem.law(w, none)
-        return [(problem.rms(law), law)], [(w, none)]
+        return [problem.law(w, none)], [(w, none)]
 
     grid = np.stack([problem.column(problem.term_law(0, float(a))) for a in _ALPHA_GRID], axis=1)
     # One QR makes each of the many small least-squares problems as short as the grid.
@@ -518,8 +544,8 @@ def _search(problem: _Problem, rng: np.random.Generator, *, square: bool) -> tup
         rms = math.sqrt(rest + float(np.sum((columns @ w - target) ** 2))) / problem.root_count
         draws.append((rms, pick, w / size[list(pick)]))
     draws.sort(key=lambda item: (item[0], item[1]))
-    for rms, pick, w in draws[:60]:
-        found.append((rms, problem.law(w, _ALPHA_GRID[list(pick)])))
+    for _, pick, w in draws[:60]:
+        found.append(problem.law(w, _ALPHA_GRID[list(pick)]))
     rated: list[tuple[float, np.ndarray, np.ndarray]] = []
     for _, pick, w in draws[:_STARTS]:
         w, a = problem.polish(w, _ALPHA_GRID[list(pick)], square=square, evaluations=40)
@@ -529,8 +555,7 @@ def _search(problem: _Problem, rng: np.random.Generator, *, square: bool) -> tup
         if k < _FINALISTS:
             w, a = problem.polish(w, a, square=square)
             ends.append((w, a))
-        law = problem.law(w, a)
-        found.append((problem.rms(law), law))
+        found.append(problem.law(w, a))
     return found, ends
 
 
