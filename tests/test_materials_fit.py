@@ -149,6 +149,9 @@ def test_stable_fit_of_a_law_that_is_not() -> None:
     assert not unstable_states(stable.law, asked_states(data, 200)).any()
     assert not any("unstable" in w for w in stable.warnings)
     assert stable.r_squared < plain.r_squared
+    # Not merely the stable neighbour with c01 = 0: as far below it as stability allows.
+    assert isinstance(stable.law, MooneyRivlin)
+    assert stable.law.c01 < -1e-3 * stable.law.c10
 
 
 def test_stable_fit_meets_the_curve_of_a_stable_law() -> None:
@@ -156,6 +159,19 @@ def test_stable_fit_meets_the_curve_of_a_stable_law() -> None:
     result = fit_law(synthetic(law, ("uniaxial", "planar")), "ogden", terms, stable=True)
     # Within the 0.1 % of the largest stress that counts as equal.
     assert result.r_squared > 0.99999
+
+
+def test_stable_fit_may_use_negative_terms() -> None:
+    """A curve that positive terms alone miss (R2 0.9988), though a stable law meets it.
+
+    The law is the stable fit of a Dragon Skin 30 test: soft after a stiff start.
+    """
+    law = Ogden((-390350.0, -1863660.0, 1678710.0), (-0.408897, 1.61184, 1.8907))
+    data = synthetic(law, ("uniaxial",), 8.0)
+    assert not unstable_states(law, asked_states(data, 200)).any()
+    result = fit_law(data, stable=True)
+    assert result.r_squared > 0.9999
+    assert not unstable_states(result.law, asked_states(data, 200)).any()
 
 
 def test_bands_hold_the_fit_and_say_what_was_measured() -> None:
