@@ -27,6 +27,7 @@ RULES: dict[str, str] = {
     "stress-first": "with both stress-strain and force-displacement columns, the former are read",
     "first-column": "with several columns of one kind, the first is read",
     "unnamed-is-engineering": "columns named neither true nor engineering are engineering",
+    "compression-sign": "positive values of columns named compressive are read as negative",
     "specimen": "area and gauge length come from the options, else from the metadata",
     "rest-point": "points at stretch 1 carry no information and are not fitted",
     "loading-only": "points that do not go beyond every earlier strain are dropped",
@@ -142,7 +143,7 @@ def read_test(
     to_stretch = _stretch_reader(deformation, gauge_length, lines[:head], delimiter, notes, where)
     to_stress = _stress_reader(load, area, lines[:head], delimiter, notes, where)
 
-    rows: list[tuple[float, float]] = []
+    raw: list[tuple[int, float, float]] = []  # line number, deformation, load
     first = head + (2 if units_line else 1)
     for number, line in enumerate(lines[first:], start=first + 1):
         cells = _cells(line, delimiter)
@@ -158,16 +159,24 @@ def read_test(
                     f"{path}, line {number}",
                 )
             pair.append(value)
-        l = to_stretch(pair[0])  # noqa: E741
+        raw.append((number, pair[0], pair[1]))
+    if not raw:
+        raise InputError("no numbers under the header", where)
+    signs = [1.0, 1.0]
+    for k, column in enumerate((deformation, load)):
+        if "compress" in column.text.lower() and np.median([row[k + 1] for row in raw]) > 0.0:
+            signs[k] = -1.0
+            notes.append(f'compression-sign: "{column.text}" is read as negative')
+    rows: list[tuple[float, float]] = []
+    for number, x, y in raw:
+        l = to_stretch(signs[0] * x)  # noqa: E741
         if not (math.isfinite(l) and l > 0.0):
             raise InputError(
-                f'{pair[0]:g} in column "{deformation.text}" gives the stretch {l:g}; stretches '
+                f'{x:g} in column "{deformation.text}" gives the stretch {l:g}; stretches '
                 "must be > 0 (is the unit right?)",
                 f"{path}, line {number}",
             )
-        rows.append((l, to_stress(pair[1], l)))
-    if not rows:
-        raise InputError("no numbers under the header", where)
+        rows.append((l, to_stress(signs[1] * y, l)))
     table = np.array(rows)
     return apply_rules(label, mode, table[:, 0], table[:, 1], max_stretch, notes)
 
@@ -318,13 +327,15 @@ def _describe(index: int, cell: str, unit: str | None = None) -> _Column | None:
     percent = said.lower() in _PERCENT_UNITS
     if "extension ratio" in words or tokens & {"stretch", "lambda", "λ", "streckung"}:
         kind = "stretch"
-    elif tokens & {"stress", "spannung", "contrainte", "sigma", "σ"}:
+    elif re.search("stress|spannung|contrainte", words) or tokens & {"sigma", "σ"}:
         kind = "stress"
-    elif tokens & {"strain", "dehnung", "deformation", "epsilon", "ε"} or (
-        percent and tokens & {"extension", "elongation"}
+    elif (
+        re.search("strain|dehnung", words)
+        or tokens & {"deformation", "epsilon", "ε"}
+        or (percent and tokens & {"extension", "elongation"})
     ):
         kind = "strain"
-    elif tokens & {"force", "load", "kraft"}:
+    elif re.search("force|kraft", words) or "load" in tokens:
         kind = "force"
     elif tokens & {"displacement", "extension", "elongation", "crosshead", "weg", "stroke"}:
         kind = "displacement"

@@ -373,7 +373,7 @@ def drucker_margins(mu: Any, alpha: Any, c: Any, log_stretches: Any) -> Any:
 
 @kernel
 def principal_stresses(mu: Any, alpha: Any, c: Any, log_stretches: Any) -> Any:
-    """Stresses of `principal_states` alone [Pa], shape (state_count, 3): a third of its time."""
+    """Stresses of `principal_states` without its tangents [Pa], shape (state_count, 3)."""
     n = log_stretches.shape[0]
     stress = np.empty((n, 3))
     for i in range(n):

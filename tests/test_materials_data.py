@@ -62,6 +62,19 @@ CASES = {
         ";",
         ".",
     ),
+    "machine export, quoted": (
+        '"Results","1"\n\n"Time","Extension","Standardkraft","Dehnung","Zugspannung"\n'
+        '"(s)","(mm)","(N)","(%)","(MPa)"',
+        [np.arange(20), STRAIN, STRESS, 100 * STRAIN, STRESS / 1e6],
+        ",",
+        ".",
+    ),
+    "several brackets": (
+        "Tensile stress (MPa),Tensile strain (Displacement) (%)",
+        [STRESS / 1e6, 100 * STRAIN],
+        ",",
+        ".",
+    ),
     "metadata before": (
         "Operator;A. B.\nStandard;ASTM D412\n;;\nStrain measurement;Global\n\nStrain;Stress (MPa)",
         [STRAIN, STRESS / 1e6],
@@ -184,6 +197,16 @@ def test_compression_is_read(tmp_path: Path) -> None:
     data = read_test(path)
     check(data, stretch, stress)
     assert data.fitted.all()
+
+
+def test_compressive_columns_are_turned_to_negative(tmp_path: Path) -> None:
+    stretch = np.linspace(0.95, 0.5, 10)
+    stress = 1e5 * (stretch - stretch**-2)
+    head = "Compressive strain (%),Compressive stress (kPa)"
+    path = write(tmp_path / "a.csv", head, [100 * (1 - stretch), -stress / 1e3], ",")
+    data = read_test(path)
+    check(data, stretch, stress)
+    assert sum("compression-sign: " in note for note in data.notes) == 2
 
 
 @pytest.mark.parametrize(
