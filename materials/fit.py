@@ -68,7 +68,7 @@ _DRAWS = 400
 _STARTS = 6  # starts polished a little ...
 _FINALISTS = 3  # ... of which so many to the end
 _ALPHA_LIMIT = 15.0
-_SEARCH_POINTS = 800  # per set
+_SEARCH_POINTS = 200  # per set
 # Stable fits: least margin asked for, over G, and how hard a violation pulls.
 _MARGIN = 0.02
 _PENALTY = 1.0
