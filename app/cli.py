@@ -9,8 +9,10 @@ kept and named.
 from __future__ import annotations
 
 import json
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -116,7 +118,7 @@ def run_command(
 
     loaded = load_case(case, settings or [])
     folder = out if out is not None else Path("results") / loaded.name
-    with _Progress() as bar:
+    with _terminated_like_interrupted(), _Progress() as bar:
         result = run_case(loaded, folder, resume=resume, progress=bar.update, say=bar.say)
     if as_json:
         _print_json(result.summary)
@@ -128,6 +130,24 @@ def run_command(
              "with --resume")  # fmt: skip
         interrupted = result.status is Status.INTERRUPTED
         raise typer.Exit(EXIT_INTERRUPTED if interrupted else EXIT_SOLVER)
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM (timeout, a cluster's queue) end a run as Ctrl-C does: with its files whole."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        previous = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not the main thread: somebody else owns the signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 class _Progress:
@@ -179,6 +199,7 @@ class _Progress:
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     console = _answer()
@@ -191,13 +212,12 @@ def _print_summary(summary: dict[str, Any]) -> None:
     )
     reference = summary.get("reference")
     if reference:
-        x, unit = reference["x"], ""
-        y_unit = summary_unit(reference["y"])
-        unit = summary_unit(x)
-        table = Table(title=f"{reference['name']}", title_justify="left")
+        x = reference["x"]
+        unit, y_unit = summary_unit(x), summary_unit(reference["y"])
+        table = Table(title=escape(reference["name"]), title_justify="left")
         for head in (f"{x.rpartition('_')[0] or x}{unit}", f"measured{y_unit}",
                      f"computed{y_unit}", "relative error"):  # fmt: skip
-            table.add_column(head, justify="right")
+            table.add_column(escape(head), justify="right")
         for row in reference["table"]:
             cells = [row[x], row["measured"], row["computed"]]
             error = row["relative_error"]
