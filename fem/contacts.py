@@ -1,0 +1,305 @@
+"""Contact as a part of a static problem: search, law and forces put together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from flexapod.contact import kernels
+from flexapod.contact.law import ContactLaw
+from flexapod.contact.search import candidate_faces
+from flexapod.fem.loads import Stiffness
+
+
+@dataclass(frozen=True)
+class ContactReport:
+    """What one contact shows at one state."""
+
+    force: np.ndarray  # resultant on the (first) surface [N], shape (3,)
+    area: float  # reference area in touch [m2]
+    largest_penetration: float  # [m]
+    largest_pressure: float  # [Pa]
+
+
+class Contact(Protocol):
+    """What the path asks of a contact."""
+
+    name: str
+
+    def couplings(self) -> list[np.ndarray]:
+        """Node sets this contact may couple, for the matrix pattern."""
+        ...
+
+    def update(self, x: np.ndarray) -> None:
+        """Search again for what may touch at positions `x` [m]."""
+        ...
+
+    def add_residual(self, x: np.ndarray, residual: np.ndarray) -> float:
+        """Add contact forces [N] to `residual`; return the contact energy [J]."""
+        ...
+
+    def stiffness(self, x: np.ndarray) -> list[Stiffness]:
+        """Return the tangent at positions `x`."""
+        ...
+
+    def commit(self) -> None:
+        """Accept the last trial's history (friction anchors)."""
+        ...
+
+    def nodal_pressure(self, x: np.ndarray) -> np.ndarray:
+        """Contact pressure averaged to nodes [Pa], shape (node_count,)."""
+        ...
+
+    def report(self, x: np.ndarray) -> ContactReport:
+        """Resultant, area and penetration."""
+        ...
+
+
+class FaceContact:
+    """Faces against faces, each side taking the other's part: self-contact or two surfaces.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3).
+    surface
+        Corner quadruples, outward, shape (face_count, 4).
+    partner
+        The other surface; the same array for self-contact.
+    law
+        The contact law. Friction is not used between faces (the paper sets it to zero).
+    depth
+        Largest penetration [m] that still counts as contact; less than half the thinnest wall.
+    tolerance
+        How far over its edge (in local coordinates) a face still takes points.
+    joint_gap
+        Self-contact only: faces whose normal distance at rest is smaller [m] are joined, see
+        `flexapod.contact.search.candidate_faces`.
+    """
+
+    def __init__(
+        self, name: str, nodes: np.ndarray, surface: np.ndarray, partner: np.ndarray,
+        law: ContactLaw, depth: float = 1.5e-3, tolerance: float = 0.05,
+        joint_gap: float = 5e-4,
+    ) -> None:
+        self.name = name
+        self.law = law
+        self.depth = depth
+        self.tolerance = tolerance
+        surface = np.ascontiguousarray(surface, dtype=np.int64)
+        partner = np.ascontiguousarray(partner, dtype=np.int64)
+        same = surface.shape == partner.shape and bool((surface == partner).all())
+        # In self-contact every point is once slave and meets its partner as a slave too.
+        self._passes = [_Pass(nodes, surface, partner, joint_gap if same else None)]
+        if not same:
+            self._passes.append(_Pass(nodes, partner, surface, None))
+        self.update(nodes)
+
+    def couplings(self) -> list[np.ndarray]:
+        """See `Contact`: each slave face with every candidate."""
+        return [p.couplings for p in self._passes]
+
+    def update(self, x: np.ndarray) -> None:
+        """See `Contact`."""
+        for p in self._passes:
+            p.search(x, self.depth, self.tolerance)
+
+    def add_residual(self, x: np.ndarray, residual: np.ndarray) -> float:
+        """See `Contact`."""
+        return sum(self._evaluate(p, x, residual, False)[0] for p in self._passes)
+
+    def stiffness(self, x: np.ndarray) -> list[Stiffness]:
+        """See `Contact`."""
+        scratch = np.zeros_like(x)
+        out: list[Stiffness] = []
+        for p in self._passes:
+            _, count = self._evaluate(p, x, scratch, True)
+            if count:
+                out.append((p.nodes[:count], p.stiffness[:count]))
+        return out
+
+    def _evaluate(
+        self, p: _Pass, x: np.ndarray, residual: np.ndarray, tangent: bool
+    ) -> tuple[float, int]:
+        kernels.find_partners(
+            x, p.slaves, kernels.POINTS, p.masters, p.candidates, self.depth, self.tolerance,
+            p.partner, p.local, p.gap,
+        )
+        if tangent:
+            p.reserve(int((p.gap < 0.0).sum()))
+        energy, count = kernels.pair_contact(
+            x, p.slaves, kernels.POINTS, p.areas, p.masters, p.partner, p.local, p.gap,
+            self.law.traction_coefficient, self.law.stiffness_exponent, 0.5, residual, p.pressure,
+            p.nodes, p.stiffness, tangent,
+        )
+        return float(energy), int(count)
+
+    def commit(self) -> None:
+        """See `Contact`: frictionless contact has no history."""
+
+    def nodal_pressure(self, x: np.ndarray) -> np.ndarray:
+        """See `Contact`."""
+        total, area = np.zeros(x.shape[0]), np.zeros(x.shape[0])
+        scratch = np.zeros_like(x)
+        for p in self._passes:
+            self._evaluate(p, x, scratch, False)
+            kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
+        return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+    def report(self, x: np.ndarray) -> ContactReport:
+        """See `Contact`; for two surfaces the force is the one on the first."""
+        area, deepest, highest = 0.0, 0.0, 0.0
+        first = np.zeros_like(x)
+        for p in self._passes:
+            self._evaluate(p, x, first, False)
+            touching = p.gap < 0.0
+            area += 0.5 * float(p.areas[touching].sum())
+            if touching.any():
+                deepest = max(deepest, -float(p.gap[touching].min()))
+                highest = max(highest, float(p.pressure.max()))
+        on_first = -first[np.unique(self._passes[0].slaves)].sum(axis=0)
+        return ContactReport(on_first, area, deepest, highest)
+
+
+class _Pass:
+    """One surface as slave against another as master, with its work arrays."""
+
+    def __init__(
+        self, nodes: np.ndarray, slaves: np.ndarray, masters: np.ndarray, joint_gap: float | None
+    ) -> None:
+        self._rest = None if joint_gap is None else nodes
+        self._joint_gap = joint_gap or 0.0
+        self.slaves = slaves
+        self.masters = masters
+        count = (slaves.shape[0], kernels.POINTS.shape[0])
+        self.areas = np.empty(count)
+        kernels.point_areas(nodes, slaves, kernels.POINTS, self.areas)
+        self.partner = np.full(count, -1, dtype=np.int32)
+        self.local = np.zeros((*count, 2))
+        self.gap = np.full(count, np.inf)
+        self.pressure = np.zeros(count)
+        self.nodes = np.empty((0, 8), dtype=np.int64)
+        self.stiffness = np.empty((0, 24, 24))
+        self.candidates = np.full((slaves.shape[0], 1), -1, dtype=np.int32)
+        self.couplings = np.empty((0, 8), dtype=np.int64)
+
+    def search(self, x: np.ndarray, depth: float, tolerance: float) -> None:
+        size = max(_largest_diagonal(x, self.slaves), _largest_diagonal(x, self.masters))
+        self.candidates = candidate_faces(
+            x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
+        )
+        kernels.find_partners(
+            x, self.slaves, kernels.POINTS, self.masters, self.candidates, depth, tolerance,
+            self.partner, self.local, self.gap,
+        )
+        near = np.unique(
+            np.stack([np.nonzero(self.gap < 0.5 * depth)[0], self.partner[self.gap < 0.5 * depth]]),
+            axis=1,
+        )
+        self.couplings = np.concatenate([self.slaves[near[0]], self.masters[near[1]]], axis=1)
+
+    def reserve(self, count: int) -> None:
+        if self.nodes.shape[0] < count:
+            size = int(1.5 * count) + 16
+            self.nodes = np.empty((size, 8), dtype=np.int64)
+            self.stiffness = np.empty((size, 24, 24))
+
+
+def _largest_diagonal(x: np.ndarray, faces: np.ndarray) -> float:
+    if not faces.shape[0]:
+        return 0.0
+    a = np.linalg.norm(x[faces[:, 2]] - x[faces[:, 0]], axis=1)
+    b = np.linalg.norm(x[faces[:, 3]] - x[faces[:, 1]], axis=1)
+    return float(max(a.max(), b.max()))
+
+
+class PlaneContact:
+    """Faces on a rigid plane, frictionless or with Coulomb friction.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3).
+    surface
+        Corner quadruples, outward, shape (face_count, 4).
+    origin, normal
+        A point of the plane [m] and its unit normal, towards the body.
+    law
+        The contact law, with its friction coefficient.
+    """
+
+    def __init__(
+        self, name: str, nodes: np.ndarray, surface: np.ndarray,
+        origin: tuple[float, float, float], normal: tuple[float, float, float], law: ContactLaw,
+    ) -> None:
+        self.name = name
+        self.law = law
+        self.surface = np.ascontiguousarray(surface, dtype=np.int64)
+        self.origin = np.asarray(origin, dtype=float)
+        self.normal = np.asarray(normal, dtype=float) / np.linalg.norm(normal)
+        count = (self.surface.shape[0], kernels.POINTS.shape[0])
+        self.areas = np.empty(count)
+        kernels.point_areas(nodes, self.surface, kernels.POINTS, self.areas)
+        self.anchor = np.full((*count, 3), np.nan)
+        self._trial = self.anchor.copy()
+        self.pressure = np.zeros(count)
+        self._nodes = np.empty((0, 4), dtype=np.int64)
+        self._stiffness = np.empty((0, 12, 12))
+
+    def couplings(self) -> list[np.ndarray]:
+        """See `Contact`: a face couples its own corners only, which the elements do already."""
+        return []
+
+    def update(self, x: np.ndarray) -> None:
+        """See `Contact`: a plane needs no search."""
+
+    def add_residual(self, x: np.ndarray, residual: np.ndarray) -> float:
+        """See `Contact`."""
+        return self._evaluate(x, residual, False)[0]
+
+    def stiffness(self, x: np.ndarray) -> list[Stiffness]:
+        """See `Contact`."""
+        if not self._nodes.shape[0]:
+            size = self.areas.size
+            self._nodes = np.empty((size, 4), dtype=np.int64)
+            self._stiffness = np.empty((size, 12, 12))
+        _, count = self._evaluate(x, np.zeros_like(x), True)
+        return [(self._nodes[:count], self._stiffness[:count])] if count else []
+
+    def _evaluate(self, x: np.ndarray, residual: np.ndarray, tangent: bool) -> tuple[float, int]:
+        law = self.law
+        energy, count = kernels.plane_contact(
+            x, self.anchor, self.surface, kernels.POINTS, self.areas, self.origin, self.normal,
+            law.traction_coefficient, law.stiffness_exponent, law.friction, law.stick_stiffness,
+            residual, self.pressure, self._trial, self._nodes, self._stiffness, tangent,
+        )
+        return float(energy), int(count)
+
+    def commit(self) -> None:
+        """See `Contact`: the trial anchors of the last evaluation become history."""
+        self.anchor[:] = self._trial
+
+    def nodal_pressure(self, x: np.ndarray) -> np.ndarray:
+        """See `Contact`."""
+        self._evaluate(x, np.zeros_like(x), False)
+        total, area = np.zeros(x.shape[0]), np.zeros(x.shape[0])
+        kernels.nodal_average(self.surface, kernels.POINTS, self.areas, self.pressure, total, area)
+        return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+    def report(self, x: np.ndarray) -> ContactReport:
+        """See `Contact`."""
+        residual = np.zeros_like(x)
+        self._evaluate(x, residual, False)
+        touching = self.pressure > 0.0
+        law = self.law
+        highest = float(self.pressure.max(initial=0.0))
+        depth = (highest / law.traction_coefficient) ** (1.0 / law.stiffness_exponent)
+        return ContactReport(
+            -residual.sum(axis=0), float(self.areas[touching].sum()), depth, highest
+        )
