@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from flexapod.core.errors import InputError
 from flexapod.geometry.tagged import HEX_FACES, TaggedMesh, cavity_names
 
@@ -389,10 +390,11 @@ def _tag(
     names = np.array([""] + [box.material for box in boxes])[cell_owner]
     x_middle = ((lines[0][:-1] + lines[0][1:]) / 2.0)[low[:, 0]]
     cell_groups: dict[str, np.ndarray] = {}
+    is_limit = np.isin(names, limit_groups)
     is_servo = np.zeros(len(cells), dtype=bool)
     for number, (start, stop) in enumerate(servos):
         ends = [float(lines[0][np.argmin(np.abs(lines[0] - v))]) for v in (start, stop)]
-        inside = np.isin(names, limit_groups) & (x_middle > ends[0]) & (x_middle < ends[1])
+        inside = is_limit & (x_middle > ends[0]) & (x_middle < ends[1])
         if inside.any():
             cell_groups[f"servo_{number}"] = np.flatnonzero(inside)
         if np.any(is_servo & inside):
@@ -426,6 +428,9 @@ def _tag(
         put(name, cells[off][:, face])
         if not name.startswith("symmetry"):
             put("outer", cells[off][:, face])
+            put("servo_faces", cells[off & is_servo][:, face])
+        if name == "end":
+            put("end_spine", cells[off & is_limit][:, face])
         inner = np.flatnonzero(~off)
         behind = tuple(beyond[inner].T)
         open_ = ~solid[behind]
@@ -445,6 +450,7 @@ def _tag(
                 continue
             quads = cells[inner[mine]][:, face]
             put("outer", quads)
+            put("servo_faces", quads[is_servo[inner[mine]]])
             if box.air.startswith("gap"):
                 put("chamber_faces", quads)
                 put("chamber_faces" + box.air.removeprefix("gap"), quads)

@@ -11,8 +11,15 @@ mesh; "limit_layer", "main", "assistant" and "turn" overlap them and only help t
 Facets: "cavity_*"; "symmetry_x", "symmetry_y"; "end" (x = xmax) and "end_left"; "underside",
 "top"; "side_left", "side_right"; "chamber_faces" (every facet at a gap, its floor included) and
 the same per row, "chamber_faces_main" ...; "chamber_faces_symmetry_x", those at the half gap
-whose other half is the mirror image; "outer", every exterior facet that is neither in a cavity
-nor on a symmetry plane.
+whose other half is the mirror image; "end_spine", the part of "end" that belongs to the limit
+layer (the probe of the bending angle); "servo_faces", the exterior facets of the servo stations
+if there are any; "outer", every exterior facet that is neither in a cavity nor on a symmetry
+plane.
+
+Cavities: "cavity_main" of "pneunet"; "cavity_turn_left" and "cavity_turn_right" of "turn". "curl"
+has these two beside "cavity_curl", the air of main and assistant chambers together; with
+``assistant_feed = "row"`` that is "cavity_main", "cavity_assistant_left" and
+"cavity_assistant_right" instead. A quarter has no left ones.
 """
 
 from __future__ import annotations

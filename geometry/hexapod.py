@@ -9,12 +9,18 @@ project's notes; with the table's numbers in mm:
 - turning rows, ``18 < |y| < 52, 25 < z < 48``: chamber ``18 < |y| < 48, 29 < z < 44``,
   growing sideways from the spine.
 
-Air paths (k x k) are not located by the paper. Here each runs against the limit layer's side of
-its chamber where that leaves most silicone round it: main ``|y| < k/2`` under the limit layer,
-turning against the spine at mid height, assistant under the turning row's connection (its
-middle line), because further out the turning row's gap lies directly on the assistant's
-connection and the path would open into it. They join the chambers of a row and are closed at
-the body's ends.
+Air paths (k x k) are not located by the paper. Here those of the main and the turning rows run
+against the limit layer's side of their chambers where that leaves most silicone round them: main
+``|y| < k/2`` under the limit layer, turning against the spine at mid height. They join the
+chambers of a row and are closed at the body's ends.
+
+The assistant chambers have no path of their own: the paper's section 2.3 says that the separate
+chambers under the turning module are joined to those of the main curl module by ventilation
+holes. So each opens sideways into the main chamber of its unit, k x k through the shared wall,
+right under its ceiling: of the whole wall this place is nearest to the limit layer, which hardly
+stretches, and at least 4 mm of silicone lie round the hole. Main and assistant chambers are then
+one cavity. A path along x (``assistant_feed = "row"``) is kept for comparison: it has only 1 mm
+of silicone to the main row's gap, which balloons at about 25 kPa.
 """
 
 from __future__ import annotations
@@ -37,7 +43,9 @@ from flexapod.geometry.tagged import TaggedMesh
 
 _CLOSE = 1e-9  # [m]
 
-# Chosen by counting: 13,599 (default) and 39,159 (fine) hexahedra for the quarter model, whose
+ASSISTANT_FEEDS = ("ventilation", "row")
+
+# Chosen by counting: 14,915 (default) and 40,698 (fine) hexahedra for the quarter model, whose
 # counterpart in the paper has 37,078; 31,544 for the fine half of the turning part (31,887).
 _CURL_SIZES = {
     "coarse": Sizing(10.0e-3, 1),
@@ -125,10 +133,14 @@ class CurlBuilder:
     servo_length
         Length of a station along the body [m]. Its ends snap to the nearest lattice plane.
     air_paths
-        Whether the chambers of a row are joined; without, their air is one cavity by name only
-        and the mesh is much smaller (their planes cross the whole section).
+        Whether chambers are joined; without, their air is one cavity by name only and the mesh
+        is smaller (the planes of paths and holes cross the whole section).
+    assistant_feed
+        "ventilation": a hole joins each assistant chamber to its unit's main chamber, and the
+        air of both is "cavity_curl". "row": an air path along x joins the assistant chambers of
+        a side; cavities "cavity_main", "cavity_assistant_left" and "..._right".
     main, assistant, turning
-        Dimensions of the rows.
+        Dimensions of the rows. The assistant's k is the side of hole or path.
     """
 
     units: int = 18
@@ -138,12 +150,19 @@ class CurlBuilder:
     servo_centres: tuple[float, ...] | None = None
     servo_length: float = 0.045
     air_paths: bool = True
+    assistant_feed: str = "ventilation"
     main: PneumaticNetwork = MAIN_CURL
     assistant: PneumaticNetwork = ASSISTANT_CURL
     turning: PneumaticNetwork = TURNING
 
     def __post_init__(self) -> None:
         check_units(self.units)
+        if self.assistant_feed not in ASSISTANT_FEEDS:
+            raise InputError(
+                f"assistant_feed must be one of {', '.join(ASSISTANT_FEEDS)}, "
+                f"got {self.assistant_feed!r}",
+                "mesh.assistant_feed",
+            )
         m, s, r = self.main, self.assistant, self.turning
         for name, row in (("assistant", s), ("turning", r)):
             _same("l + d of main", m.pitch, f"l + d of {name}", row.pitch)
@@ -161,9 +180,18 @@ class CurlBuilder:
             m.top_wall + m.chamber_height,
         )
         _less("g of main < g of assistant", m.outer_wall, s.outer_wall)
-        room = r.connection_thickness - (s.outer_wall - m.outer_wall)
-        if s.air_path > 0.0:
+        if self._ventilated:
+            _less("k of assistant < a of assistant", s.air_path, s.chamber_length)
+            _less("k of assistant < a of main", s.air_path, m.chamber_length)
+            room = s.top_wall + s.chamber_height - m.top_wall
+            _less("k of assistant < c + h of assistant - c of main", s.air_path, room)
+        elif s.air_path > 0.0:
+            room = r.connection_thickness - (s.outer_wall - m.outer_wall)
             _less("k of assistant < e of turning - (g of assistant - g of main)", s.air_path, room)
+
+    @property
+    def _ventilated(self) -> bool:
+        return self.assistant_feed == "ventilation"
 
     @property
     def length(self) -> float:
@@ -193,25 +221,33 @@ class CurlBuilder:
         s_floor = s_ceiling - s.connection_thickness
         s_a, s_length = s.chamber_length / 2, s.outer_length / 2
         k_s = s.air_path
+        vent, path = (k_s, 0.0) if self._ventilated else (0.0, k_s)
+        if self._ventilated:
+            main_air = side_air = "cavity_curl"
+        else:
+            main_air, side_air = "cavity_main", "cavity_assistant"
+        sided = not self._ventilated
         r_joint = width + r.connection_thickness
         r_top = s_ceiling + r.network_width
         # Painted assistants first: the shared wall belongs to the main row.
         boxes = [
             Box((0, p), (width, far), (0, s_ceiling), "assistant"),
             Box((s_length, p), (width, far), (0, s_floor), air="gap_assistant"),
-            Box((0, s_a), (s_in, s_out), (s_c, s_ceiling), air="cavity_assistant", sided=True),
+            Box((0, s_a), (s_in, s_out), (s_c, s_ceiling), air=side_air, sided=sided),
             *_turn_boxes(r, width, s_ceiling),
             Box((0, p), (0, width), (ceiling, top), "limit_layer"),
             Box((0, p), (0, width), (0, ceiling), "main"),
             Box((length, p), (0, width), (0, floor), air="gap_main"),
-            Box((0, a), (0, main_in), (c, ceiling), air="cavity_main"),
+            Box((0, a), (0, main_in), (c, ceiling), air=main_air),
         ]
         if k > 0.0:
-            boxes.append(Box((a, p), (0, k / 2), (ceiling - k, ceiling), "main", "cavity_main"))
-        if k_s > 0.0:
-            y = (s_in, s_in + k_s)
-            z = (s_ceiling - k_s, s_ceiling)
-            boxes.append(Box((s_a, p), y, z, "assistant", "cavity_assistant", sided=True))
+            boxes.append(Box((a, p), (0, k / 2), (ceiling - k, ceiling), "main", main_air))
+        if vent > 0.0:
+            z = (s_ceiling - vent, s_ceiling)
+            boxes.append(Box((0, vent / 2), (main_in, s_in), z, air=main_air))
+        if path > 0.0:
+            y, z = (s_in, s_in + path), (s_ceiling - path, s_ceiling)
+            boxes.append(Box((s_a, p), y, z, "assistant", side_air, sided=True))
         k_r = r.air_path
         walls_x = (
             (a, length),
@@ -227,7 +263,7 @@ class CurlBuilder:
         walls_z = (
             (0.0, c),
             (0.0, s_c),
-            (s_floor, s_ceiling - k_s),
+            (s_floor, s_ceiling - path),
             (floor, ceiling - k),
             (s_ceiling, s_ceiling + r.outer_wall),
             (r_top - r.outer_wall, r_top),
@@ -265,11 +301,19 @@ class CurlBuilder:
 
     def _whole_cavities(self) -> dict[str, float]:
         m, s, r = self._rows()
-        rows = {"main": m.cavity_volume(self.units)}
-        for name, row in (("assistant", s), ("turn", r)):
-            for side in ("left", "right"):
-                rows[f"{name}_{side}"] = row.cavity_volume(self.units)
-        return {f"cavity_{name}": volume for name, volume in rows.items()}
+        main, turn = m.cavity_volume(self.units), r.cavity_volume(self.units)
+        if self._ventilated:
+            # The shared wall is as thick as the assistant's outer wall.
+            beside = self.units * (s.chamber_volume + s.air_path**2 * s.outer_wall)
+            rows = {"cavity_curl": main + 2 * beside}
+        else:
+            beside = s.cavity_volume(self.units)
+            rows = {
+                "cavity_main": main,
+                "cavity_assistant_left": beside,
+                "cavity_assistant_right": beside,
+            }
+        return {**rows, "cavity_turn_left": turn, "cavity_turn_right": turn}
 
     def expected_cavity_volumes(self) -> dict[str, float]:
         """Closed-form air volume of each modelled cavity [m3]."""

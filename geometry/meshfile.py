@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from flexapod.core.errors import InputError
 from flexapod.geometry.quality import corner_jacobians
 from flexapod.geometry.tagged import TaggedMesh, cavity_names, orient_outward

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from flexapod.geometry.tagged import TaggedMesh
 
 # The three corners joined to each corner, so that their edges form a right-handed frame.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
 from flexapod.core.errors import InputError
 
 # Corner quadruples of a hexahedron's six faces in VTK/Gmsh node order, counter-clockwise

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from flexapod.core.errors import InputError
 from flexapod.geometry.blocks import Sizing, build_row, subdivide
 from flexapod.geometry.builders import BUILDERS
@@ -34,6 +35,10 @@ BUILDS = {
     "curl quarter": CurlBuilder(units=4),
     "curl quarter, one unit": CurlBuilder(units=1),
     "curl quarter, no paths": CurlBuilder(units=4, air_paths=False),
+    "curl half, row feed": CurlBuilder(units=3, size="coarse", symmetry="half",
+                                       assistant_feed="row"),
+    "curl quarter, row feed, no paths": CurlBuilder(units=2, air_paths=False,
+                                                    assistant_feed="row"),
     "turn whole": TurnBuilder(units=3, symmetry="whole"),
     "turn half": TurnBuilder(units=4),
     "turn low spine": TurnBuilder(units=4, spine_height=0.015),
@@ -118,9 +123,11 @@ def test_surfaces_lie_where_their_names_say(built) -> None:
             assert abs(area_vector(mesh, name)[axis]) == pytest.approx(area(mesh, name))
     cut = {"whole": set(), "half": {"symmetry_x"}, "quarter": {"symmetry_x", "symmetry_y"}}
     assert {n for n in mesh.facet_groups if n.startswith("symmetry")} == cut[builder.symmetry]
-    assert {"end", "underside", "top", "outer", "chamber_faces", "side_right"} <= set(
-        mesh.facet_groups
-    )
+    rows = {"pneunet": ["main"], "curl": ["main", "assistant", "turn"], "turn": ["turn"]}
+    kind = next(name for name in BUILDERS if isinstance(builder, BUILDERS[name]))
+    assert {"end", "end_spine", "underside", "top", "outer", "chamber_faces", "side_right"} | {
+        f"chamber_faces_{row}" for row in rows[kind]
+    } <= set(mesh.facet_groups)
     assert ("end_left" in mesh.facet_groups) == (builder.symmetry == "whole")
     assert area_vector(mesh, "top")[2] == pytest.approx(area(mesh, "top"))
 
@@ -141,7 +148,7 @@ def test_chamber_faces_have_the_area_of_the_gaps() -> None:
 
 
 def test_sides_are_named_by_the_sign_of_y() -> None:
-    mesh = CurlBuilder(units=2, size="coarse", symmetry="whole").build()
+    mesh = CurlBuilder(units=2, size="coarse", symmetry="whole", assistant_feed="row").build()
     for row in ("assistant", "turn"):
         for side, sign in (("left", -1.0), ("right", 1.0)):
             assert np.all(sign * mesh.nodes[mesh.facet_groups[f"cavity_{row}_{side}"]][..., 1] > 0)
@@ -186,18 +193,77 @@ def test_cavity_faces_point_into_the_air() -> None:
     assert np.all(np.einsum("ij,ij->i", normal, towards) > 0.0)
 
 
-@pytest.mark.parametrize("name", ["main", "assistant_left", "assistant_right", "turn_left"])
-def test_chambers_of_a_row_are_one_connected_cavity(name: str) -> None:
+def part_count(mesh: TaggedMesh, cavity: str) -> int:
+    """Number of separate chambers that a cavity's facets bound."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    mesh = CurlBuilder(units=3, size="coarse", symmetry="whole").build()
-    quads = mesh.facet_groups[f"cavity_{name}"]
+    quads = mesh.facet_groups[cavity]
     nodes, local = np.unique(quads, return_inverse=True)
     local = local.reshape(-1, 4)
     rows, columns = local.ravel(), np.roll(local, 1, axis=1).ravel()
     links = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(nodes),) * 2)
-    assert connected_components(links, directed=False)[0] == 1
+    return int(connected_components(links, directed=False)[0])
+
+
+def test_chambers_of_a_cavity_are_connected() -> None:
+    expected = {
+        "ventilation": {"curl": 1, "turn_left": 1, "turn_right": 1},
+        "row": {"main": 1, "assistant_left": 1, "assistant_right": 1, "turn_left": 1,
+                "turn_right": 1},
+    }  # fmt: skip
+    for feed, counts in expected.items():
+        for air_paths in (True, False):
+            builder = CurlBuilder(
+                units=3, size="coarse", symmetry="whole", assistant_feed=feed, air_paths=air_paths
+            )
+            mesh = builder.build()
+            assert set(mesh.cavities) == {f"cavity_{name}" for name in counts}
+            for name, count in counts.items():
+                alone = 9 if name == "curl" else 3
+                assert part_count(mesh, f"cavity_{name}") == (count if air_paths else alone)
+
+
+def test_ventilation_holes_are_where_the_docs_say() -> None:
+    # In mm: |x - xc| < 1.5, 15 < y < 19, 22 < z < 25, bounded by four faces of 3 x 4.
+    mesh = CurlBuilder(units=1).build()
+    x = mesh.nodes[mesh.facet_groups["cavity_curl"]] * 1e3
+    middle = x.mean(axis=1)
+    inside = (middle[:, 1] > 15.1) & (middle[:, 1] < 18.9)
+    hole = x[inside].reshape(-1, 3)
+    np.testing.assert_allclose(hole.min(axis=0), [0.0, 15.0, 22.0], atol=1e-9)
+    np.testing.assert_allclose(hole.max(axis=0), [1.5, 19.0, 25.0], atol=1e-9)
+    sides = np.cross(x[inside, 2] - x[inside, 0], x[inside, 3] - x[inside, 1])
+    # The quarter has half the floor, half the ceiling and one of the two sides.
+    assert np.linalg.norm(sides, axis=1).sum() / 2 == pytest.approx(3 * 4 + 3 * 4)
+
+
+@pytest.mark.parametrize("symmetry", ["whole", "half", "quarter"])
+def test_end_of_the_spine_and_servo_faces(symmetry: str) -> None:
+    width = 0.018 if symmetry == "quarter" else 0.036
+    plain = CurlBuilder(units=2, size="coarse", symmetry=symmetry).build()
+    assert "servo_faces" not in plain.facet_groups
+    x = plain.nodes[plain.facet_groups["end_spine"]]
+    assert area(plain, "end_spine") == pytest.approx(width * 0.015)
+    assert (x[..., 2].min(), x[..., 2].max()) == pytest.approx((0.029, 0.044))
+    mesh = CurlBuilder(
+        units=2, size="coarse", symmetry=symmetry, servos=True, servo_centres=(0.0, 0.0135),
+        servo_length=0.007,
+    ).build()  # fmt: skip
+    assert area(mesh, "end_spine") == pytest.approx(width * 0.015)
+    servo = np.concatenate([c for n, c in mesh.cell_groups.items() if n.startswith("servo")])
+    quads = mesh.facet_groups["servo_faces"]
+    orient_outward(mesh.cells[servo], quads, "servo_faces")
+    # Tops (lengths as snapped to the lattice) and the end face.
+    length = cell_volumes(mesh.nodes, mesh.cells[servo]).sum() / (width * 0.015)
+    assert area(mesh, "servo_faces") == pytest.approx(width * (length + 0.015))
+
+
+def test_end_of_the_turning_spine() -> None:
+    assert area(TurnBuilder(units=2).build(), "end_spine") == pytest.approx(0.036 * 0.023)
+    low = TurnBuilder(units=2, spine_height=0.015, servos=True, servo_length=0.01).build()
+    assert area(low, "end_spine") == pytest.approx(0.036 * 0.015)
+    assert "servo_faces" in low.facet_groups
 
 
 def wall_runs(builder: object, sizing: Sizing) -> list[tuple[int, float, int]]:
@@ -227,7 +293,13 @@ def wall_runs(builder: object, sizing: Sizing) -> list[tuple[int, float, int]]:
 
 
 @pytest.mark.parametrize(
-    "builder", [PneunetBuilder(units=2, symmetry="quarter"), CurlBuilder(units=4), TurnBuilder()]
+    "builder",
+    [
+        PneunetBuilder(units=2, symmetry="quarter"),
+        CurlBuilder(units=4),
+        CurlBuilder(units=4, assistant_feed="row"),
+        TurnBuilder(),
+    ],
 )
 def test_two_elements_through_every_wall_by_default(builder: object) -> None:
     from flexapod.geometry.hexapod import _CURL_SIZES, _TURN_SIZES
@@ -237,7 +309,8 @@ def test_two_elements_through_every_wall_by_default(builder: object) -> None:
     runs = wall_runs(builder, table[type(builder)]["default"])
     thin = [run for run in runs if run[2] < 2]
     # The one exception: a 1 mm skin between the assistant row's air path and the main row's gap.
-    allowed = [(1, 0.001, 1)] if isinstance(builder, CurlBuilder) else []
+    has_skin = isinstance(builder, CurlBuilder) and builder.assistant_feed == "row"
+    allowed = [(1, 0.001, 1)] if has_skin else []
     assert [run for run in thin if run not in allowed] == []
     three = [run for run in wall_runs(builder, table[type(builder)]["fine"]) if run[2] < 3]
     assert [run for run in three if run not in allowed] == []
@@ -249,7 +322,7 @@ def test_counts_of_the_robot_models() -> None:
         for name in ("curl", "turn")
         for size in ("default", "fine")
     }
-    assert 11_000 <= count["curl", "default"] <= 14_000
+    assert 11_000 <= count["curl", "default"] <= 15_000
     assert count["curl", "fine"] == pytest.approx(37_078, rel=0.15)
     assert count["turn", "fine"] == pytest.approx(31_887, rel=0.15)
 
@@ -271,8 +344,8 @@ def test_symmetric_parts_are_parts_of_the_whole() -> None:
     np.testing.assert_allclose(volume["whole"], 2 * volume["half"], rtol=ROUND_OFF)
     np.testing.assert_allclose(volume["whole"], 4 * volume["quarter"], rtol=ROUND_OFF)
     assert len(meshes["whole"].cells) == 4 * len(meshes["quarter"].cells)
-    assert len(meshes["whole"].facet_groups["cavity_main"]) == 4 * len(
-        meshes["quarter"].facet_groups["cavity_main"]
+    assert len(meshes["whole"].facet_groups["cavity_curl"]) == 4 * len(
+        meshes["quarter"].facet_groups["cavity_curl"]
     )
 
 
@@ -340,6 +413,15 @@ def test_impossible_bodies() -> None:
         CurlBuilder(main=longer)
     with pytest.raises(InputError, match=r"b of main = t of turning: 36 mm != 30 mm"):
         CurlBuilder(turning=dataclasses.replace(TURNING, limit_layer=0.030))
+    with pytest.raises(InputError, match="assistant_feed must be one of ventilation, row"):
+        CurlBuilder(assistant_feed="hose")
+    deep = dataclasses.replace(ASSISTANT_CURL, air_path=0.0045)
+    CurlBuilder(assistant=deep)
+    with pytest.raises(InputError, match="k of assistant < e of turning"):
+        CurlBuilder(assistant=deep, assistant_feed="row")
+    short = {"chamber_length": 0.0025, "outer_length": 0.0085, "gap": 0.0085}
+    with pytest.raises(InputError, match=r"a of assistant: 3 mm >= 2\.5 mm"):
+        CurlBuilder(assistant=dataclasses.replace(ASSISTANT_CURL, **short))
     with pytest.raises(InputError, match="t > 0"):
         PneunetBuilder(dimensions=ASSISTANT_CURL)
     with pytest.raises(InputError, match="symmetry must be"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+
 from flexapod.core.errors import InputError
 from flexapod.geometry.hexapod import CurlBuilder
 from flexapod.geometry.meshfile import read_mesh, write_mesh
