@@ -15,6 +15,7 @@ from skfem import Basis, ElementHex1, MeshHex
 
 from flexapod.core.errors import InputError
 from flexapod.fem import kernels
+from flexapod.fem.residual_kernels import InternalForce
 from flexapod.geometry.tagged import TaggedMesh
 from flexapod.materials.law import SolidMaterial
 
@@ -72,8 +73,10 @@ class SolidBody:
         self._set_quadrature()
         self._set_adjacency()
         self._forces = np.empty((self.cell_count, 8, 3))
-        self._energy = np.empty(self.cell_count)
-        self.least_j = np.ones(self.cell_count)
+        self._internal_force = InternalForce(
+            self.nodes, self.cells, self.material, self.mu, self.alpha, self.c, self.kappa,
+            self.kappa_point,
+        )
         self._tangents: np.ndarray | None = None
 
     @property
@@ -184,13 +187,12 @@ class SolidBody:
 
         The energy is infinite where an element is turned inside out; `least_j` says which.
         """
-        kernels.element_forces(
-            u, self.cells, self.gradients, self.weights, self.material,
-            self.mu, self.alpha, self.c, self.kappa_point, self.kappa, self._forces, self._energy, self.least_j,
-        )
-        energy = float(self._energy.sum())
-        kernels.gather_forces(self._forces, self.node_start, self.node_cell, out)
-        return energy
+        return self._internal_force(u, out)
+
+    @property
+    def least_j(self) -> np.ndarray:
+        """Least volume ratio of each element at the last `internal_force`, (cell_count,)."""
+        return self._internal_force.least_j
 
     def predict_pressure(self, u: np.ndarray, du: np.ndarray) -> np.ndarray:
         """Mean dU/dJ [Pa] linearised from `u` along `du`, shape (cell_count,)."""

@@ -29,11 +29,9 @@ import numpy as np
 
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 from flexapod.materials.kernels import (
-    isochoric_energy,
     isochoric_stress,
     isochoric_tangent,
     symmetric_eigen,
-    volumetric_energy,
     volumetric_modulus,
     volumetric_pressure,
 )
@@ -283,72 +281,6 @@ def pressure_error_forces(
         for a in range(8):
             for i in range(3):
                 out[e, a, i] *= dp
-
-
-@parallel_kernel
-def element_forces(
-    u: Any, cells: Any, gradients: Any, weights: Any, material: Any,
-    mu: Any, alpha: Any, c: Any, kappa_point: Any, kappa: Any, out: Any, energy: Any, least_j: Any,
-) -> None:
-    """Fill element forces `out` (cell_count, 8, 3) [N], energies [J] and least J per element."""
-    cell_count = cells.shape[0]
-    chunk = 64
-    for block in numba.prange((cell_count + chunk - 1) // chunk):
-        ue = np.empty((8, 3))
-        f = np.empty((8, 3, 3))
-        jac = np.empty(8)
-        left = np.empty((3, 3))
-        x = np.empty(3)
-        n = np.empty((3, 3))
-        b = np.empty((8, 3))
-        tau = np.empty((3, 3))
-        for e in range(block * chunk, min((block + 1) * chunk, cell_count)):
-            m = material[e]
-            for a in range(8):
-                for i in range(3):
-                    ue[a, i] = u[cells[e, a], i]
-                    out[e, a, i] = 0.0
-            volume = 0.0
-            mean_j = 0.0
-            worst = math.inf
-            for q in range(8):
-                jac[q] = deformation_gradient(ue, gradients[e, q], f[q])
-                volume += weights[e, q]
-                mean_j += weights[e, q] * jac[q]
-                worst = min(worst, jac[q])
-            least_j[e] = worst
-            if not worst > 0.0:
-                energy[e] = math.inf
-                continue
-            mean_j /= volume
-            p = volumetric_pressure(kappa[m], mean_j)
-            total = volume * volumetric_energy(kappa[m], mean_j)
-            for q in range(8):
-                w = weights[e, q]
-                _spatial_gradients(f[q], gradients[e, q], b)
-                _left_cauchy_green(f[q], left)
-                symmetric_eigen(left, x, n)
-                e1 = 0.5 * math.log(x[0])
-                e2 = 0.5 * math.log(x[1])
-                e3 = 0.5 * math.log(x[2])
-                t = isochoric_stress(mu[m], alpha[m], c[m], e1, e2, e3)
-                total += w * isochoric_energy(mu[m], alpha[m], c[m], e1, e2, e3)
-                total += w * volumetric_energy(kappa_point[m], jac[q])
-                pj = (p + volumetric_pressure(kappa_point[m], jac[q])) * jac[q]
-                for i in range(3):
-                    for j in range(3):
-                        tau[i, j] = w * (
-                            n[i, 0] * t[0] * n[j, 0]
-                            + n[i, 1] * t[1] * n[j, 1]
-                            + n[i, 2] * t[2] * n[j, 2]
-                        )
-                    tau[i, i] += w * pj
-                for a in range(8):
-                    for i in range(3):
-                        out[e, a, i] += (
-                            tau[i, 0] * b[a, 0] + tau[i, 1] * b[a, 1] + tau[i, 2] * b[a, 2]
-                        )
-            energy[e] = total
 
 
 @parallel_kernel

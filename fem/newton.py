@@ -13,9 +13,6 @@ from flexapod.fem.loads import Conditions
 from flexapod.fem.sparse import BlockPattern, DirectSolver
 
 
-import os
-DEBUG = bool(os.environ.get('DBG'))
-
 @dataclass(frozen=True)
 class NewtonOptions:
     """When an equilibrium is reached and when to give up.
@@ -28,13 +25,16 @@ class NewtonOptions:
         Largest correction of a node over the body's size.
     max_iterations
         After which the increment has failed.
+    divergence
+        Growth of the residual over the first one that ends the attempt early.
     line_search_steps
         Halvings at most of one correction.
     """
 
     residual_tolerance: float = 1e-5
     increment_tolerance: float = 1e-5
-    max_iterations: int = 22
+    max_iterations: int = 20
+    divergence: float = 1e4
     line_search_steps: int = 5
 
 
@@ -95,9 +95,10 @@ def newton(
     `damping` [N/m] per node pulls every node to `anchor` (the damped path). Returns the last
     displacements, a report and None, or the reason of failure.
 
-    The line search works on the slope of the potential along the correction, ``du . R``: a step
-    is halved while it turns an element inside out or leaves a slope larger than the one it
-    started from.
+    The line search works on the slope along the correction, ``du . R``, with the residual of
+    the mixed form (its pressure taken linearly along the step, so that the second-order change
+    of volume of a step does not count as an error): a step is halved while it turns an element
+    inside out, and cut to the root of the slope's straight line while the slope stays large.
     """
     fixed = problem.conditions.fixed
     free = ~fixed
@@ -128,6 +129,8 @@ def newton(
         residuals.append(error)
         if not np.isfinite(error):
             return u, report(iteration), Status.NOT_FINITE
+        if iteration > 3 and error > options.divergence * residuals[0]:
+            return u, report(iteration), Status.NOT_CONVERGED
         small = correction < options.increment_tolerance * body_size
         if error < options.residual_tolerance and (small or error < 1e-9):
             return u, report(iteration), None
@@ -161,7 +164,6 @@ def newton(
             pressure = old + length * (new - old)
             mixed = r_new + problem.pressure_error_force(candidate, pressure)
             new_slope = float((du * mixed)[free].sum())
-            if DEBUG: print("      ", iteration, f"err {error:.2e} len {length:.3f} slope {slope:.3e} -> {new_slope:.3e} |du| {np.abs(du).max():.2e}")
             if abs(new_slope) <= 0.8 * abs(slope) or trial == options.line_search_steps:
                 break
             # The root of the straight line through both slopes, kept within a sane part.

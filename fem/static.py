@@ -362,7 +362,9 @@ class _Path:
                 u, report = self._creep(target, failure)
                 damped = True
                 self.stats.damped_increments += 1
-            state.velocity = None if damped else (u - state.u) / size
+            # The very first increment closes gaps and seats the body: no guide to the next one.
+            seated = state.time > 0.0 and not damped
+            state.velocity = (u - state.u) / size if seated else None
             state.u = u
             state.time = float(reach)
             state.factors = target
@@ -400,14 +402,13 @@ class _Path:
     ) -> tuple[np.ndarray, NewtonReport, Status | None]:
         """One increment by Newton: with the extrapolated start first, then from rest."""
         state = self.state
-        guess = state.u.copy()
         if state.velocity is not None:
-            guess += size * state.velocity
+            guess = state.u + size * state.velocity
             self.problem.conditions.apply(guess, target)
-            if not np.isfinite(self.problem.residual(guess, target)[1]):
-                guess = state.u.copy()
-        u, report, failure = self._newton(guess, target)
-        return u, report, failure
+            u, report, failure = self._newton(guess, target)
+            if failure is None:
+                return u, report, None
+        return self._newton(state.u.copy(), target)
 
     def _newton(
         self, guess: np.ndarray, target: dict[str, float],
@@ -427,37 +428,33 @@ class _Path:
         self, target: dict[str, float], failure: Status
     ) -> tuple[np.ndarray, NewtonReport]:
         """Hold the load and let the body creep to equilibrium in a thinning viscous bath."""
-        problem = self.problem
-        body = problem.body
-        shear = max(m.law.shear_modulus for m in body.materials)
+        body = self.problem.body
         soft = min(m.law.shear_modulus for m in body.materials)
-        # A bath as stiff as the softest material over a cell's width moves every node a little.
+        # At strength one, the bath is as stiff as the softest material over a cell's width.
         width = np.cbrt(body.cell_volume.mean())
         unit = soft / width**2 * body.node_volume
-        del shear
         u = self.state.u.copy()
-        strength = 0.1
-        work = 0.0
+        strength, work = 0.1, 0.0
         for stage in range(self.options.damped_stages):
             new, report, bad = self._newton(u, target, strength * unit, u)
             if bad is not None:
-                strength *= 5.0
-                if strength > 1e6:
+                strength *= 8.0
+                if strength > 1e4:
                     break
                 continue
             move = new - u
             work += float((strength * unit[:, None] * move * move).sum())
             u = new
-            self.say(f"creep stage {stage}: bath {strength:.2e}, move {np.abs(move).max():.2e} m")
-            strength *= 0.3 if report.iterations <= self.options.easy_iterations else 0.7
-            if strength < 1e-3:
+            self.say(f"creep {stage}: bath {strength:.1e}, move {np.abs(move).max():.1e} m")
+            easy = report.iterations <= self.options.easy_iterations
+            strength *= 0.2 if easy else 0.5
+            # Free of the bath, Newton lands once the body creeps slowly under a thin bath.
+            if strength < 1e-3 and np.abs(move).max() < 2e-3 * self.body_size:
                 final, report, bad = self._newton(u, target)
                 if bad is None:
                     self.state.damped_work += work
                     return final, report
-                strength = max(strength, 1e-4)
-                if strength <= 1e-4 and stage > self.options.damped_stages // 2:
-                    break
+                self.problem.pressure = None
         raise SolverError(
             Status.STEP_TOO_SMALL,
             f"stopped at {self._place()}: {failure.value}, and the damped path found no "
