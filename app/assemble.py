@@ -35,6 +35,7 @@ _LENGTH = Quantity("length", "m", "3 mm")
 _WORDS = {
     "size": ("coarse", "default", "fine"),
     "symmetry": ("whole", "half", "quarter"),
+    "assistant_feed": ("ventilation", "row"),
 }
 
 

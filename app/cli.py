@@ -9,10 +9,8 @@ kept and named.
 from __future__ import annotations
 
 import json
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -118,7 +116,7 @@ def run_command(
 
     loaded = load_case(case, settings or [])
     folder = out if out is not None else Path("results") / loaded.name
-    with _terminated_like_interrupted(), _Progress() as bar:
+    with _Progress() as bar:
         result = run_case(loaded, folder, resume=resume, progress=bar.update, say=bar.say)
     if as_json:
         _print_json(result.summary)
@@ -130,24 +128,6 @@ def run_command(
              "with --resume")  # fmt: skip
         interrupted = result.status is Status.INTERRUPTED
         raise typer.Exit(EXIT_INTERRUPTED if interrupted else EXIT_SOLVER)
-
-
-@contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM (timeout, a cluster's queue) end a run as Ctrl-C does: with its files whole."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        previous = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not the main thread: somebody else owns the signals
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 class _Progress:

@@ -561,7 +561,8 @@ def plot_mesh(mesh: TaggedMesh, path: Path, title: str, view: str = "corner") ->
         if 0 < inside.sum() < len(quads):
             names.append(f"{name} (cells)")
             values[inside] = len(names)
-    for name, group in mesh.facet_groups.items():
+    # The largest first, so that what is more particular shows on top.
+    for name, group in sorted(mesh.facet_groups.items(), key=lambda item: -len(item[1])):
         index = [keys[key] for quad in group.tolist() if (key := tuple(sorted(quad))) in keys]
         if index and name not in mesh.cavities:
             names.append(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 import warnings
@@ -80,6 +81,27 @@ def _notices(say: Callable[[str], None]) -> Iterator[list[str]]:
         if issubclass(warning.category, UserWarning) and text not in heard:
             heard.append(text)
             say(text)
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM (timeout, a cluster's queue) end a path as Ctrl-C does: with its files whole.
+
+    Entered after the mesh is built, because Gmsh puts the signal's default action back.
+    """
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        previous = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not the main thread: somebody else owns the signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 class _Recorder:
@@ -298,9 +320,10 @@ def _run(
         recorder.start()
     else:
         say(f"going on from step {start.step + start.time:.3f} of {len(parts.steps)}")
-    result = solve_path(
-        parts.problem, parts.steps, parts.options, recorder.accept, start, on_message=say
-    )
+    with _terminated_like_interrupted():
+        result = solve_path(
+            parts.problem, parts.steps, parts.options, recorder.accept, start, on_message=say
+        )
     recorder.keep_last(result.state)
     summary = {
         "case": loaded.name,

@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -261,6 +262,26 @@ def test_a_path_that_cannot_go_on_is_exit_3_and_keeps_its_states(
     assert 1 < len(curve["step"]) < 8
     assert len(list((out / "fields").iterdir())) == len(curve["step"])
     assert (out / "plots" / "curve.png").exists()
+
+
+def test_sigterm_keeps_the_run(tmp_path: Path) -> None:
+    out = tmp_path / "r"
+    command = [sys.executable, "-m", "flexapod.app.cli", "run", "free_curl", "--out", str(out)]
+    settings = ["mesh.size=coarse", "mesh.units=2", "step.inflate.outputs=1000"]
+    process = subprocess.Popen(
+        [*command, *_sets(settings)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        deadline = time.monotonic() + 120.0
+        while not (out / "checkpoint.h5").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.terminate()
+        _, err = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert json.loads((out / SUMMARY_FILE).read_text())["status"] == "interrupted"
+    assert "go on with --resume" in " ".join(err.split())
 
 
 def test_module_runs_as_a_program() -> None:

