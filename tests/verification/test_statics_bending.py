@@ -79,8 +79,8 @@ def test_square_elements_follow_the_elastica(
     # Discretisation: measured, with a margin of a tenth.
     assert np.all(np.array(errors) < 1.1 * np.array(baseline))
     assert abs(tips[2][0] - x) < 0.01
-    # The deflection converges with second order (ratio 4; measured 3.84, 3.87) to the elastica within the beam
-    # theory's own (h/L)**2 (measured 3.7e-3 and 4.8e-3 beyond it: shear and the clamp).
+    # The deflection converges with second order (ratio 4; measured 3.84, 3.87) to the elastica
+    # within the beam theory's own (h/L)**2; measured 3.7e-3 and 4.8e-3: shear and the clamp.
     ratio = (tips[1][1] - tips[0][1]) / (tips[2][1] - tips[1][1])
     limit = tips[2][1] + (tips[2][1] - tips[1][1]) / 3.0
     print(f"ratio {ratio:.2f}")
