@@ -154,13 +154,18 @@ def _project(x: Any, face: Any, p: Any, n: Any, d: Any, t: Any, twist: Any) -> t
 @parallel_kernel
 def find_partners(
     x: Any, slaves: Any, points: Any, masters: Any, candidates: Any, depth: float,
-    tolerance: float, partner: Any, local: Any, gap: Any,
+    margin: float, partner: Any, local: Any, gap: Any, fade: Any,
 ) -> None:
     """For each contact point pick the nearest master face it projects onto.
 
     `candidates` (face_count, candidate_count) lists master faces per slave face, -1 for none.
     Writes `partner` (face_count, point_count; -1 for none), `local` (.., 2) and `gap` (..) [m],
     negative when penetrating. Points deeper than `depth` are not contacts but passers-by.
+
+    `fade` is 1 on a face and falls smoothly to 0 over the `margin` (in local coordinates) beyond
+    its edge. Inside a surface a neighbour takes over at the edge; at a surface's rim nobody does,
+    and without the fade a point sliding over the rim would lose its force at once, which no
+    Newton step survives.
     """
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
@@ -172,6 +177,7 @@ def find_partners(
         for q in range(points.shape[0]):
             partner[f, q] = -1
             gap[f, q] = math.inf
+            fade[f, q] = 0.0
             best = math.inf
             shape(points[q, 0], points[q, 1], n)
             for i in range(3):
@@ -183,7 +189,7 @@ def find_partners(
                 if m < 0:
                     break
                 xi, eta = _project(x, masters[m], p, n, d, t, twist)
-                if abs(xi) > 1.0 + tolerance or abs(eta) > 1.0 + tolerance:
+                if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue
                 shape(xi, eta, n)
                 shape_derivatives(xi, eta, d)
@@ -200,8 +206,10 @@ def find_partners(
                     g += r * normal[i] / size
                 if g < -depth:
                     continue
-                # Prefer a face the point lies squarely on over one it only touches by tolerance.
-                excess = max(0.0, abs(xi) - 1.0) + max(0.0, abs(eta) - 1.0)
+                # Prefer a face the point lies squarely on over one whose rim it only grazes.
+                excess_xi = max(0.0, abs(xi) - 1.0)
+                excess_eta = max(0.0, abs(eta) - 1.0)
+                excess = excess_xi + excess_eta
                 measure = abs(g) + excess * math.sqrt(size)
                 if measure < best:
                     best = measure
@@ -209,12 +217,16 @@ def find_partners(
                     local[f, q, 0] = xi
                     local[f, q, 1] = eta
                     gap[f, q] = g
+                    a1 = 1.0 - excess_xi / margin
+                    a2 = 1.0 - excess_eta / margin
+                    fade[f, q] = a1 * a1 * (3.0 - 2.0 * a1) * a2 * a2 * (3.0 - 2.0 * a2)
 
 
 @kernel
 def pair_contact(
     x: Any, slaves: Any, points: Any, areas: Any, masters: Any, partner: Any, local: Any,
-    gap: Any, coefficient: float, exponent: float, share: float, force: Any, pressure: Any,
+    gap: Any, fade: Any, coefficient: float, exponent: float, share: float, force: Any,
+    pressure: Any,
     nodes: Any, stiffness: Any, want_stiffness: bool,
 ) -> tuple[float, int]:
     """Add pair forces [N] to `force` and, per active point, its nodes and symmetric stiffness.
@@ -224,7 +236,7 @@ def pair_contact(
     [J] and the number of active points; `nodes` (.., 8) and `stiffness` (.., 24, 24) must hold
     every point with a negative gap.
 
-    The tangent is the exact second derivative of the closest-point gap (P. Wriggers,
+    The tangent is the exact second derivative of the closest-point gap, at a fixed `fade` (P. Wriggers,
     Computational Contact Mechanics, 2006, section 4.2.2, in the form symmetric in both bodies).
     """
     ns = np.empty(4)
@@ -258,8 +270,8 @@ def pair_contact(
                 normal[i] /= size
             w = share * areas[f, q]
             depth = -g
-            traction = coefficient * depth**exponent
-            slope = coefficient * exponent * depth ** (exponent - 1.0)
+            traction = fade[f, q] * coefficient * depth**exponent
+            slope = fade[f, q] * coefficient * exponent * depth ** (exponent - 1.0)
             pressure[f, q] = traction
             energy += w * traction * depth / (exponent + 1.0)
             # d(energy)/dx = -w traction dg/dx, and dg/dx = N_s n on slaves, -N_m n on masters.

@@ -74,8 +74,9 @@ class FaceContact:
         The contact law. Friction is not used between faces (the paper sets it to zero).
     depth
         Largest penetration [m] that still counts as contact; less than half the thinnest wall.
-    tolerance
-        How far over its edge (in local coordinates) a face still takes points.
+    margin
+        How far over its rim (in local coordinates, a face spans 2) a face still takes points,
+        with a force that fades to nothing.
     joint_gap
         Self-contact only: faces whose normal distance at rest is smaller [m] are joined, see
         `flexapod.contact.search.candidate_faces`.
@@ -83,13 +84,13 @@ class FaceContact:
 
     def __init__(
         self, name: str, nodes: np.ndarray, surface: np.ndarray, partner: np.ndarray,
-        law: ContactLaw, depth: float = 1.5e-3, tolerance: float = 0.05,
+        law: ContactLaw, depth: float = 1.5e-3, margin: float = 0.5,
         joint_gap: float = 5e-4,
     ) -> None:
         self.name = name
         self.law = law
         self.depth = depth
-        self.tolerance = tolerance
+        self.margin = margin
         surface = np.ascontiguousarray(surface, dtype=np.int64)
         partner = np.ascontiguousarray(partner, dtype=np.int64)
         same = surface.shape == partner.shape and bool((surface == partner).all())
@@ -106,7 +107,7 @@ class FaceContact:
     def update(self, x: np.ndarray) -> None:
         """See `Contact`."""
         for p in self._passes:
-            p.search(x, self.depth, self.tolerance)
+            p.search(x, self.depth, self.margin)
 
     def add_residual(self, x: np.ndarray, residual: np.ndarray) -> float:
         """See `Contact`."""
@@ -126,14 +127,14 @@ class FaceContact:
         self, p: _Pass, x: np.ndarray, residual: np.ndarray, tangent: bool
     ) -> tuple[float, int]:
         kernels.find_partners(
-            x, p.slaves, kernels.POINTS, p.masters, p.candidates, self.depth, self.tolerance,
-            p.partner, p.local, p.gap,
+            x, p.slaves, kernels.POINTS, p.masters, p.candidates, self.depth, self.margin,
+            p.partner, p.local, p.gap, p.fade,
         )
         if tangent:
             p.reserve(int((p.gap < 0.0).sum()))
         energy, count = kernels.pair_contact(
             x, p.slaves, kernels.POINTS, p.areas, p.masters, p.partner, p.local, p.gap,
-            self.law.traction_coefficient, self.law.stiffness_exponent, 0.5, residual, p.pressure,
+            p.fade, self.law.traction_coefficient, self.law.stiffness_exponent, 0.5, residual, p.pressure,
             p.nodes, p.stiffness, tangent,
         )
         return float(energy), int(count)
@@ -181,20 +182,21 @@ class _Pass:
         self.partner = np.full(count, -1, dtype=np.int32)
         self.local = np.zeros((*count, 2))
         self.gap = np.full(count, np.inf)
+        self.fade = np.zeros(count)
         self.pressure = np.zeros(count)
         self.nodes = np.empty((0, 8), dtype=np.int64)
         self.stiffness = np.empty((0, 24, 24))
         self.candidates = np.full((slaves.shape[0], 1), -1, dtype=np.int32)
         self.couplings = np.empty((0, 8), dtype=np.int64)
 
-    def search(self, x: np.ndarray, depth: float, tolerance: float) -> None:
+    def search(self, x: np.ndarray, depth: float, margin: float) -> None:
         size = max(_largest_diagonal(x, self.slaves), _largest_diagonal(x, self.masters))
         self.candidates = candidate_faces(
             x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
         )
         kernels.find_partners(
-            x, self.slaves, kernels.POINTS, self.masters, self.candidates, depth, tolerance,
-            self.partner, self.local, self.gap,
+            x, self.slaves, kernels.POINTS, self.masters, self.candidates, depth, margin,
+            self.partner, self.local, self.gap, self.fade,
         )
         near = np.unique(
             np.stack([np.nonzero(self.gap < 0.5 * depth)[0], self.partner[self.gap < 0.5 * depth]]),
