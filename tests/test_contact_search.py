@@ -1,0 +1,72 @@
+"""Candidate faces: those that face each other nearby, never neighbours nor joined sides."""
+
+from __future__ import annotations
+
+import numpy as np
+from statics_helpers import grid
+
+from flexapod.contact.search import CANDIDATE_COUNT, candidate_faces
+from flexapod.geometry.tagged import boundary_facets
+
+
+def _slot(gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A U of cells with a slot of width `gap` at x = 0.5: nodes, all faces, the slot's faces."""
+    mesh = grid((5, 2, 4))
+    x = mesh.nodes.copy()
+    middle = mesh.nodes[mesh.cells].mean(axis=1)
+    out = (np.abs(middle[:, 0] - 0.5) < 0.05) & (middle[:, 2] > 0.25)
+    x[:, 0] = np.interp(
+        x[:, 0], [0.0, 0.2, 0.4, 0.6, 0.8, 1.0], [0, 0.2, 0.5 - gap / 2, 0.5 + gap / 2, 0.8, 1.0]
+    )
+    cells = mesh.cells[~out]
+    faces = boundary_facets(cells)
+    centre = x[faces].mean(axis=1)
+    flat = np.ptp(x[faces][:, :, 0], axis=1) < 1e-12
+    walls = flat & (np.abs(np.abs(centre[:, 0] - 0.5) - gap / 2) < 1e-9)
+    return x, faces, np.flatnonzero(walls)
+
+
+def test_facing_walls_find_each_other_and_nothing_else() -> None:
+    x, faces, walls = _slot(0.02)
+    found = candidate_faces(x, faces, faces, 0.3)
+    assert found.shape == (len(faces), CANDIDATE_COUNT)
+    centre = x[faces].mean(axis=1)
+    for w in walls:
+        picked = found[w][found[w] >= 0]
+        assert len(picked)
+        # The nearest candidate is the face straight across the slot.
+        across = centre[w] * [-1.0, 1.0, 1.0] + [1.0, 0.0, 0.0]
+        np.testing.assert_allclose(centre[picked[0]], across, atol=1e-12)
+        # Nothing that shares a node or looks the same way.
+        for f in picked:
+            assert not set(faces[f]) & set(faces[w])
+        # Nearest first.
+        assert np.all(np.diff(np.linalg.norm(centre[picked] - centre[w], axis=1)) >= -1e-12)
+
+
+def test_neighbours_on_a_flat_side_are_no_candidates() -> None:
+    mesh = grid((4, 4, 1))
+    top = mesh.facet_groups["z1"]
+    assert (candidate_faces(mesh.nodes, top, top, 1.0) == -1).all()
+
+
+def test_reach_limits_the_search() -> None:
+    x, faces, walls = _slot(0.02)
+    assert (candidate_faces(x, faces[walls], faces[walls], 0.01) == -1).all()
+    assert (candidate_faces(x, faces[walls], faces[walls], 0.021)[:, 0] >= 0).all()
+
+
+def test_sides_joined_at_rest_are_left_out() -> None:
+    # Back to back faces of one plane: 20 micrometres apart at rest counts as joined.
+    x, faces, walls = _slot(2e-5)
+    wall = faces[walls]
+    assert (candidate_faces(x, wall, wall, 0.3)[:, 0] >= 0).all()
+    assert (candidate_faces(x, wall, wall, 0.3, x, 5e-4) == -1).all()
+    assert (candidate_faces(x, wall, wall, 0.3, x, 1e-5)[:, 0] >= 0).all()
+
+
+def test_empty_surfaces() -> None:
+    x, faces, _ = _slot(0.02)
+    none = np.empty((0, 4), dtype=np.int64)
+    assert candidate_faces(x, none, faces, 1.0).shape == (0, CANDIDATE_COUNT)
+    assert (candidate_faces(x, faces, none, 1.0) == -1).all()
