@@ -119,18 +119,32 @@ def _block(friction: float, driven: bool) -> tuple[StaticProblem, PlaneContact, 
 
 def test_block_sticks_below_the_limit_and_slides_above_it() -> None:
     # Coulomb: T <= mu N. Held by friction alone, the block creeps by T/(stick A) at most.
-    problem, plane, _ = _block(MU, driven=False)
     rest = LoadStep("rest", {"weight": 1.0}, first=0.5)
-    below = LoadStep("push", {"push": 0.9 * MU * WEIGHT}, first=0.25)
-    result = solve_path(problem, [rest, below], PathOptions(newton=TIGHT))
-    assert result.status is Status.DONE, result.message
-    force = plane.report(problem.positions(result.state.u)).force
-    # Equilibrium of the whole, to Newton's tolerance.
-    np.testing.assert_allclose(force, [-0.9 * MU * WEIGHT, 0.0, WEIGHT], atol=1e-6 * WEIGHT)
-    # Held: the underside's mean slip is that of the regularisation, T/(k_t A) = 1.8e-5 m, and
-    # what the points add that the rocking unloads (measured 3.2e-5 m).
-    bottom = problem.body.mesh.facet_groups["z0"]
-    assert 1.8e-5 < float(result.state.u[bottom, 0].mean()) < 5e-5
+    lags = []
+    for count in (10, 20):
+        problem, plane, _ = _block(MU, driven=False)
+        bottom = problem.body.mesh.facet_groups["z0"]
+        path: list[float] = []
+        below = LoadStep("push", {"push": 0.9 * MU * WEIGHT}, outputs=count, first=1.0 / count)
+        result = solve_path(
+            problem,
+            [rest, below],
+            PathOptions(newton=TIGHT),
+            lambda i, path=path, bottom=bottom: path.append(float(i.state.u[bottom, 0].mean())),
+        )
+        assert result.status is Status.DONE, result.message
+        force = plane.report(problem.positions(result.state.u)).force
+        # Equilibrium of the whole; the vertical part to Newton's tolerance.
+        assert force[2] == pytest.approx(WEIGHT, rel=1e-6)
+        lags.append(float(force[0]) + 0.9 * MU * WEIGHT)
+        # Held: since the rest (two increments) it slipped by the regularisation T/(k_t A) =
+        # 1.8e-5 m and what the points add that the rocking unloads; measured 2.8e-5 m.
+        assert 1.8e-5 < path[-1] - path[1] < 5e-5
+    # The limit is that of the last accepted pressure, so the report of a rocked block lags by an
+    # increment: measured 0.055 and 0.028 N of 1.8 N, of first order.
+    print(f"lags {lags}")
+    assert abs(lags[0]) < 0.04 * WEIGHT
+    assert lags[1] == pytest.approx(0.5 * lags[0], rel=0.1)
 
     problem, plane, _ = _block(MU, driven=False)
     above = LoadStep("push", {"push": 1.2 * MU * WEIGHT}, first=0.25, smallest=0.01)

@@ -235,10 +235,30 @@ def test_plane_contact_sticking() -> None:
     assert difference_error(problem, v, {}, 1e-9) < 1e-6
 
 
+def test_plane_contact_sliding() -> None:
+    # Every point beyond its limit: within an increment friction has a potential (the limit is
+    # that of the accepted pressure), so this tangent is exact and symmetric too.
+    problem, contact, u = plane_state(0.3, 2.0)
+    problem.residual(u, {})
+    problem.commit()
+    v = u + [2e-3, 1e-3, 0.0]
+    force = np.zeros_like(u)
+    contact.add_residual(problem.positions(v), force)
+    total = force.sum(axis=0)
+    along = total - (total @ contact.normal) * contact.normal
+    # It drags, against the slip.
+    assert along @ [2e-3, 1e-3, 0.0] > 0.0
+    assert difference_error(problem, v, {}, 1e-8) < 1e-6
+
+
 def _faces_facing(gap: float) -> TaggedMesh:
-    """Two blocks, one above the other at a small distance, their meshes not matching."""
+    """Two blocks, one above the other at a small distance, their meshes not matching.
+
+    The upper is so placed that none of the lower's contact points falls into the fading rim of
+    its faces (half a local unit beyond the edge), where forces have no potential.
+    """
     low = grid((3, 3, 1), lambda t: t * [1.0, 1.0, 0.5])
-    high = grid((2, 2, 1), lambda t: t * [0.9, 0.8, 0.5] + [0.07, 0.04, 0.5 + gap])
+    high = grid((2, 2, 1), lambda t: t * [0.32, 0.32, 0.5] + [0.34, 0.34, 0.5 + gap])
     low = TaggedMesh(low.nodes, low.cells, {}, {"low": low.facet_groups["z1"]})
     high = TaggedMesh(high.nodes, high.cells, {}, {"high": high.facet_groups["z0"]})
     return merged([low, high])
@@ -265,12 +285,15 @@ def test_face_contact(kind: str, exponent: float) -> None:
     mesh = _faces_facing(0.01)
     contact = CONTACTS[kind](mesh, ContactLaw(1e3, exponent))
     problem = StaticProblem(solid(mesh, LAW), [], [], [contact])
-    u = wavy(mesh.nodes, 0.1, seed=2)
+    u = wavy(mesh.nodes, 0.04, seed=2)
     u[mesh.nodes[:, 2] > 0.505, 2] -= 0.05
     problem.search(u)
     x = problem.positions(u)
     report = contact.report(x)
-    assert report.area > 0.1 and report.largest_penetration > 0.01
+    assert report.area > 0.05 and report.largest_penetration > 0.01
+    for side in contact._passes:
+        active = side.gap < 0.0
+        assert active.any() and (side.fade[active] == 1.0).all()
     assert difference_error(problem, u, {}, 1e-8) < 1e-6
     force = np.zeros_like(x)
     energy = contact.add_residual(x, force)
