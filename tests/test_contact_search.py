@@ -70,3 +70,15 @@ def test_empty_surfaces() -> None:
     none = np.empty((0, 4), dtype=np.int64)
     assert candidate_faces(x, none, faces, 1.0).shape == (0, CANDIDATE_COUNT)
     assert (candidate_faces(x, faces, none, 1.0) == -1).all()
+
+
+def test_two_sides_of_a_sharp_notch_share_an_edge_and_are_no_candidates() -> None:
+    # They look at each other (30 degrees apart), but neighbours are never partners.
+    c, s = np.cos(np.pi / 6.0), np.sin(np.pi / 6.0)
+    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [c, 1, s], [c, 0, s]], dtype=float)
+    faces = np.array([[0, 1, 2, 3], [0, 3, 4, 5]])
+    assert (candidate_faces(x, faces, faces, 2.0) == -1).all()
+    # The same two with an edge each do find one another.
+    apart = np.vstack([x, x[[0, 3]] + [0.0, 0.0, 0.01]])
+    split = np.array([[0, 1, 2, 3], [6, 7, 4, 5]])
+    assert candidate_faces(apart, split, split, 2.0)[:, 0].tolist() == [1, 0]
