@@ -206,6 +206,8 @@ class _Recorder:
         arrays = {"u": state.u}
         if state.velocity is not None:
             arrays["velocity"] = state.velocity
+        if state.bend is not None:
+            arrays["bend"] = state.bend
         for index, history in enumerate(state.history):
             arrays[f"history_{index}"] = history
         about = {
@@ -213,6 +215,7 @@ class _Recorder:
             "time": state.time,
             "factors": state.factors,
             "increment": state.increment,
+            "last_size": state.last_size,
             "history_count": len(state.history),
             "damped_work": state.damped_work,
             "previous": self.previous,
@@ -240,6 +243,8 @@ class _Recorder:
             factors=dict(about["factors"]),
             increment=about["increment"],
             velocity=arrays.get("velocity"),
+            bend=arrays.get("bend"),
+            last_size=about.get("last_size", 0.0),
             history=[arrays[f"history_{i}"] for i in range(about["history_count"])],
             damped_work=about["damped_work"],
         )

@@ -357,10 +357,12 @@ def plane_contact(
 ) -> tuple[float, int]:
     """Add the forces of faces on a rigid plane; frictionless, or Coulomb with return mapping.
 
-    `anchor` (face_count, point_count, 3) is where each point sticks; NaN for a point that was
-    apart. `trial_anchor` receives the anchors of this trial state, for the caller to commit
-    once the increment is accepted. The friction tangent leaves out the (unsymmetric) change of
-    the sliding limit with the normal force; the residual does not.
+    `anchor` (face_count, point_count, 4) is where each point sticks [m] and the normal traction
+    [Pa] of the last accepted state; NaN for a point that was apart. `trial_anchor` receives the
+    same of this trial state, for the caller to commit once the increment is accepted. The
+    sliding limit is the friction coefficient times the *accepted* traction: within an increment
+    friction then has a potential, its tangent is exact and symmetric, and the lag shrinks with
+    the increment.
     """
     n = np.empty(4)
     p = np.empty(3)
@@ -379,7 +381,7 @@ def plane_contact(
                 g += (p[i] - origin[i]) * normal[i]
             pressure[f, q] = 0.0
             if not g < 0.0:
-                for i in range(3):
+                for i in range(4):
                     trial_anchor[f, q, i] = math.nan
                 continue
             w = areas[f, q]
@@ -394,20 +396,16 @@ def plane_contact(
             for a in range(4):
                 for i in range(3):
                     force[faces[f, a], i] -= w * traction * n[a] * normal[i]
-            if friction > 0.0:
-                if math.isnan(anchor[f, q, 0]):
-                    # A point that lands sticks where it lands.
-                    for i in range(3):
-                        slip[i] = 0.0
-                else:
-                    along = 0.0
-                    for i in range(3):
-                        slip[i] = p[i] - anchor[f, q, i]
-                        along += slip[i] * normal[i]
-                    for i in range(3):
-                        slip[i] -= along * normal[i]
+            trial_anchor[f, q, 3] = traction
+            if friction > 0.0 and anchor[f, q, 3] > 0.0:
+                along = 0.0
+                for i in range(3):
+                    slip[i] = p[i] - anchor[f, q, i]
+                    along += slip[i] * normal[i]
+                for i in range(3):
+                    slip[i] -= along * normal[i]
                 size = math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2)
-                limit = friction * traction
+                limit = friction * anchor[f, q, 3]
                 shear = stick * size
                 if shear <= limit:
                     for i in range(3):
@@ -434,6 +432,7 @@ def plane_contact(
                     for i in range(3):
                         force[faces[f, a], i] += factor * n[a] * slip[i]
             else:
+                # A point that lands sticks, from the next increment on, where it lands.
                 for i in range(3):
                     trial_anchor[f, q, i] = p[i]
             if want_stiffness:

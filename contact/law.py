@@ -66,7 +66,7 @@ class ContactLaw:
         Coulomb coefficient [-]; 0 between chambers in the paper.
     stick_stiffness
         Tangential traction per slip before sliding [Pa/m]; a regularisation, chosen so that
-        sliding begins after a hundredth of a millimetre at a contact pressure of 1 kPa.
+        sliding begins after less than a tenth of a millimetre at a contact pressure of 1 kPa.
     """
 
     stiffness: float
@@ -77,7 +77,7 @@ class ContactLaw:
     reference_penetration: float = 1e-3
     reference_area: float = 9e-6
     friction: float = 0.0
-    stick_stiffness: float = 1e8
+    stick_stiffness: float = 1e7
 
     def __post_init__(self) -> None:
         check_positive("contact stiffness", self.stiffness, "N/m^1.5")

@@ -248,7 +248,7 @@ class PlaneContact:
         count = (self.surface.shape[0], kernels.POINTS.shape[0])
         self.areas = np.empty(count)
         kernels.point_areas(nodes, self.surface, kernels.POINTS, self.areas)
-        self.anchor = np.full((*count, 3), np.nan)
+        self.anchor = np.full((*count, 4), np.nan)  # and the accepted traction
         self._trial = self.anchor.copy()
         self.pressure = np.zeros(count)
         self._nodes = np.empty((0, 4), dtype=np.int64)

@@ -184,11 +184,24 @@ class Cavity:
         total = float(load_kernels.enclosed_volume(x, self.faces))
         for loop in self._lids:
             a, b = x[loop[:, 0]], x[loop[:, 1]]
-            centre = a.mean(axis=0)
             # The lid runs against the surface's own edges; its triangles close the volume.
-            triple = np.cross(b, a) @ centre
-            total -= float(triple.sum()) / 6.0
+            total -= float((np.cross(b, a) @ _lid_centre(a)).sum()) / 6.0
         return total
+
+
+def _lid_centre(rim: np.ndarray) -> np.ndarray:
+    """A point in every coordinate plane that parts of a rim lie in, so that its fan is flat.
+
+    A cavity cut by several symmetry planes has one rim that turns from plane to plane.
+    """
+    centre = rim.mean(axis=0)
+    size = float(np.ptp(rim, axis=0).max())
+    for axis in range(3):
+        for value in (rim[:, axis].min(), rim[:, axis].max()):
+            if (np.abs(rim[:, axis] - value) < 1e-9 * size).sum() >= 3:
+                centre[axis] = value
+                break
+    return np.asarray(centre)
 
 
 def _loops(edges: list[tuple[int, int]]) -> list[np.ndarray]:

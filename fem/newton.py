@@ -27,14 +27,17 @@ class NewtonOptions:
         After which the increment has failed.
     divergence
         Growth of the residual over the first one that ends the attempt early.
+    patience
+        Iterations without a residual a tenth smaller than the best one that end it too.
     line_search_steps
         Halvings at most of one correction.
     """
 
-    residual_tolerance: float = 1e-5
+    residual_tolerance: float = 1e-4
     increment_tolerance: float = 1e-5
     max_iterations: int = 20
     divergence: float = 1e4
+    patience: int = 10
     line_search_steps: int = 5
 
 
@@ -123,6 +126,7 @@ def newton(
         # Moving supports alone can flip the elements next to them: the caller cuts back.
         return u, report(0), Status.INVERTED_ELEMENT
     correction = np.inf
+    best, stale = np.inf, 0
     for iteration in range(options.max_iterations + 1):
         scale = max(problem.force_scale(factors, r), 1e-12)
         error = float(np.abs(r[free]).max(initial=0.0)) / scale
@@ -131,8 +135,14 @@ def newton(
             return u, report(iteration), Status.NOT_FINITE
         if iteration > 3 and error > options.divergence * residuals[0]:
             return u, report(iteration), Status.NOT_CONVERGED
+        if error < 0.9 * best:
+            best, stale = error, 0
+        else:
+            stale += 1
+        if stale > options.patience:
+            return u, report(iteration), Status.NOT_CONVERGED
         small = correction < options.increment_tolerance * body_size
-        if error < options.residual_tolerance and (small or error < 1e-9):
+        if error < options.residual_tolerance and (small or error < 1e-8):
             return u, report(iteration), None
         if iteration == options.max_iterations:
             break

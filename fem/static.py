@@ -65,7 +65,7 @@ class PathOptions:
     max_increments: int = 2000
     growth: float = 1.6  # of the increment after an easy solution
     cut: float = 0.35  # of the increment after a failure
-    easy_iterations: int = 7  # at most this many iterations count as easy
+    easy_iterations: int = 9  # at most this many iterations count as easy
     damped: bool = True  # creep past limit points in a viscous bath
     damped_stages: int = 60  # largest number of creep stages at one load
 
@@ -80,6 +80,8 @@ class PathState:
     factors: dict[str, float] = field(default_factory=dict)
     increment: float | None = None
     velocity: np.ndarray | None = None  # du per step time of the last increment, the predictor
+    bend: np.ndarray | None = None  # second divided difference of u over the last two
+    last_size: float = 0.0  # of the last increment
     history: list[np.ndarray] = field(default_factory=list)  # of each contact
     damped_work: float = 0.0  # dissipated in the viscous bath [J]
 
@@ -178,14 +180,14 @@ class StaticProblem:
             items.extend(contact.stiffness(x))
         if self.pattern is None:
             self._build_pattern()
-        for _ in range(2):
-            assert self.pattern is not None
-            self._gather(u)
-            missing = sum(self.pattern.add(nodes, matrix) for nodes, matrix in items)
-            if not missing:
-                break
+        assert self.pattern is not None
+        self._gather(u)
+        if sum(self.pattern.add(nodes, matrix) for nodes, matrix in items):
             self.search(u)
             self._build_pattern([nodes for nodes, _ in items])
+            self._gather(u)
+            for nodes, matrix in items:
+                self.pattern.add(nodes, matrix)
         return self.pattern
 
     def _build_pattern(self, items: Sequence[np.ndarray] = ()) -> None:
@@ -337,9 +339,10 @@ class _Path:
             if self.stats.increments >= self.options.max_increments:
                 raise SolverError(Status.TOO_MANY_INCREMENTS, f"stopped at {self._place()}")
             next_output = (np.floor(state.time * step.outputs + 1e-9) + 1.0) / step.outputs
-            reach = min(state.time + min(increment, step.largest), next_output)
+            increment = min(increment, step.largest)
+            reach = min(state.time + increment, next_output)
             # Avoid a sliver of an increment just before an output.
-            if next_output - reach < 0.2 * increment:
+            if next_output - reach < 0.2 * increment and next_output - state.time <= step.largest:
                 reach = next_output
             size = reach - state.time
             target = {
@@ -364,7 +367,14 @@ class _Path:
                 self.stats.damped_increments += 1
             # The very first increment closes gaps and seats the body: no guide to the next one.
             seated = state.time > 0.0 and not damped
-            state.velocity = (u - state.u) / size if seated else None
+            velocity = (u - state.u) / size if seated else None
+            state.bend = (
+                (velocity - state.velocity) / (size + state.last_size)
+                if velocity is not None and state.velocity is not None
+                else None
+            )
+            state.velocity = velocity
+            state.last_size = float(size)
             state.u = u
             state.time = float(reach)
             state.factors = target
@@ -386,6 +396,7 @@ class _Path:
                 state.time = 0.0
                 state.increment = None
                 state.velocity = None
+                state.bend = None
             self.on_increment(Increment(state, step.name, is_output, report, damped))
             if last:
                 return
@@ -404,10 +415,12 @@ class _Path:
         state = self.state
         if state.velocity is not None:
             guess = state.u + size * state.velocity
+            # Curved extrapolation pays while the body rotates, but not far beyond what it saw.
+            if state.bend is not None and size < 2.0 * state.last_size:
+                guess += size * (size + state.last_size) * state.bend
             self.problem.conditions.apply(guess, target)
-            u, report, failure = self._newton(guess, target)
-            if failure is None:
-                return u, report, None
+            if np.isfinite(self.problem.residual(guess, target)[1]):
+                return self._newton(guess, target)
         return self._newton(state.u.copy(), target)
 
     def _newton(
