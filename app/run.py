@@ -127,6 +127,7 @@ class _Recorder:
         }
         self.pressure_values = {load.name: load.value for load in pressures}
         self.unwritten: tuple[float, dict[str, float], dict[str, float]] | None = None
+        self._unstable = False
 
     def row(self, time_: float, u: np.ndarray, factors: dict[str, float]) -> dict[str, float]:
         """Columns of a state; moves the rotation probes' turn count on."""
@@ -156,6 +157,7 @@ class _Recorder:
             "largest_stretch": float(fields.principal_stretches.max()),
             "least_stretch": float(fields.principal_stretches.min()),
         }
+        self._warn_unstable(row, fields.log_stretches)
         pressure = np.zeros(body.node_count)
         x = problem.positions(u)
         for contact in problem.contacts:
@@ -173,6 +175,29 @@ class _Recorder:
             },
         )
         self.folder.write_state(self.parts.mesh.nodes, self.parts.mesh.cells, state)
+
+    def _warn_unstable(self, row: dict[str, float], log_stretches: np.ndarray) -> None:
+        """Say once when points of the body leave their law's stable (Drucker) range."""
+        if self._unstable:
+            return
+        from flexapod.materials.stability import unstable_states
+
+        body = self.parts.body
+        for index, material in enumerate(body.materials):
+            cells = np.flatnonzero(body.material == index)
+            bad = unstable_states(material.law, log_stretches[cells].reshape(-1, 3)).reshape(-1, 8)
+            if bad.any():
+                self._unstable = True
+                loads = ", ".join(
+                    f"{row[head]:.4g} kPa" for head in self.pressure_heads.values() if head in row
+                )
+                first = cells[np.flatnonzero(bad.any(axis=1))[0]]
+                warnings.warn(
+                    f"at {loads or 'this load'}, {int(bad.any(axis=1).sum())} elements (first "
+                    f"{first}) left the stable range of {material.name!r}: the law softens there",
+                    UserWarning,
+                    stacklevel=2,
+                )
 
     def start(self) -> None:
         """Write the undeformed state."""

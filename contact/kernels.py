@@ -110,9 +110,7 @@ def point_positions(x: Any, faces: Any, points: Any, out: Any) -> None:
 def _project(x: Any, face: Any, p: Any, n: Any, d: Any, t: Any, twist: Any) -> tuple[float, float]:
     """Closest point of the bilinear face to `p`: local coordinates by Newton's method."""
     for i in range(3):
-        twist[i] = 0.25 * (
-            x[face[0], i] - x[face[1], i] + x[face[2], i] - x[face[3], i]
-        )
+        twist[i] = 0.25 * (x[face[0], i] - x[face[1], i] + x[face[2], i] - x[face[3], i])
     xi = 0.0
     eta = 0.0
     for _ in range(12):
@@ -153,20 +151,31 @@ def _project(x: Any, face: Any, p: Any, n: Any, d: Any, t: Any, twist: Any) -> t
 
 @parallel_kernel
 def find_partners(
-    x: Any, slaves: Any, points: Any, masters: Any, candidates: Any, depth: float,
-    margin: float, partner: Any, local: Any, gap: Any, fade: Any,
+    x: Any,
+    slaves: Any,
+    points: Any,
+    masters: Any,
+    candidates: Any,
+    depth: float,
+    margin: float,
+    partner: Any,
+    local: Any,
+    gap: Any,
+    fade: Any,
 ) -> None:
-    """For each contact point pick the nearest master face it projects onto.
+    """For each contact point find the nearest master faces it projects onto.
 
     `candidates` (face_count, candidate_count) lists master faces per slave face, -1 for none.
-    Writes `partner` (face_count, point_count; -1 for none), `local` (.., 2) and `gap` (..) [m],
-    negative when penetrating. Points deeper than `depth` are not contacts but passers-by.
+    Writes `partner` (face_count, point_count * slot_count; -1 for none), `local` (.., 2) and
+    `gap` (..) [m], negative when penetrating; the slots of a point stand next to each other.
+    Points deeper than `depth` are not contacts but passers-by.
 
-    `fade` is 1 on a face and falls smoothly to 0 over the `margin` (in local coordinates) beyond
-    its edge. Inside a surface a neighbour takes over at the edge; at a surface's rim nobody does,
-    and without the fade a point sliding over the rim would lose its force at once, which no
-    Newton step survives.
+    `fade` (..) is each slot's share of the point. A face's own share is 1 on the face and falls
+    smoothly to 0 over the `margin` (in local coordinates) beyond its edge, and before `depth`;
+    shares over one in sum are scaled to one. So a point that slides from face to face, or over a
+    surface's rim, changes its force smoothly: a sudden change is what no Newton step survives.
     """
+    slots = partner.shape[1] // points.shape[0]
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
         d = np.empty((4, 2))
@@ -174,18 +183,21 @@ def find_partners(
         twist = np.empty(3)
         p = np.empty(3)
         normal = np.empty(3)
+        measure = np.empty(slots)
         for q in range(points.shape[0]):
-            partner[f, q] = -1
-            gap[f, q] = math.inf
-            fade[f, q] = 0.0
-            best = math.inf
+            first = q * slots
+            for k in range(slots):
+                partner[f, first + k] = -1
+                gap[f, first + k] = math.inf
+                fade[f, first + k] = 0.0
+                measure[k] = math.inf
             shape(points[q, 0], points[q, 1], n)
             for i in range(3):
                 p[i] = 0.0
                 for a in range(4):
                     p[i] += n[a] * x[slaves[f, a], i]
-            for k in range(candidates.shape[1]):
-                m = candidates[f, k]
+            for c in range(candidates.shape[1]):
+                m = candidates[f, c]
                 if m < 0:
                     break
                 xi, eta = _project(x, masters[m], p, n, d, t, twist)
@@ -206,28 +218,68 @@ def find_partners(
                     g += r * normal[i] / size
                 if g < -depth:
                     continue
-                # Prefer a face the point lies squarely on over one whose rim it only grazes.
                 excess_xi = max(0.0, abs(xi) - 1.0)
                 excess_eta = max(0.0, abs(eta) - 1.0)
-                excess = excess_xi + excess_eta
-                measure = abs(g) + excess * math.sqrt(size)
-                if measure < best:
-                    best = measure
-                    partner[f, q] = m
-                    local[f, q, 0] = xi
-                    local[f, q, 1] = eta
-                    gap[f, q] = g
-                    a1 = 1.0 - excess_xi / margin
-                    a2 = 1.0 - excess_eta / margin
-                    fade[f, q] = a1 * a1 * (3.0 - 2.0 * a1) * a2 * a2 * (3.0 - 2.0 * a2)
+                # Prefer a face the point lies squarely on over one whose rim it only grazes.
+                here = abs(g) + (excess_xi + excess_eta) * math.sqrt(size)
+                k = slots
+                while k > 0 and here < measure[k - 1]:
+                    k -= 1
+                if k == slots:
+                    continue
+                for move in range(slots - 1, k, -1):
+                    measure[move] = measure[move - 1]
+                    partner[f, first + move] = partner[f, first + move - 1]
+                    gap[f, first + move] = gap[f, first + move - 1]
+                    fade[f, first + move] = fade[f, first + move - 1]
+                    local[f, first + move, 0] = local[f, first + move - 1, 0]
+                    local[f, first + move, 1] = local[f, first + move - 1, 1]
+                a1 = 1.0 - excess_xi / margin
+                a2 = 1.0 - excess_eta / margin
+                a3 = min(1.0, (depth + g) / (0.3 * depth))
+                measure[k] = here
+                partner[f, first + k] = m
+                gap[f, first + k] = g
+                local[f, first + k, 0] = xi
+                local[f, first + k, 1] = eta
+                fade[f, first + k] = (
+                    a1
+                    * a1
+                    * (3.0 - 2.0 * a1)
+                    * a2
+                    * a2
+                    * (3.0 - 2.0 * a2)
+                    * a3
+                    * a3
+                    * (3.0 - 2.0 * a3)
+                )
+            total = 0.0
+            for k in range(slots):
+                total += fade[f, first + k]
+            if total > 1.0:
+                for k in range(slots):
+                    fade[f, first + k] /= total
 
 
 @kernel
 def pair_contact(
-    x: Any, slaves: Any, points: Any, areas: Any, masters: Any, partner: Any, local: Any,
-    gap: Any, fade: Any, coefficient: float, exponent: float, share: float, force: Any,
+    x: Any,
+    slaves: Any,
+    points: Any,
+    areas: Any,
+    masters: Any,
+    partner: Any,
+    local: Any,
+    gap: Any,
+    fade: Any,
+    coefficient: float,
+    exponent: float,
+    share: float,
+    force: Any,
     pressure: Any,
-    nodes: Any, stiffness: Any, want_stiffness: bool,
+    nodes: Any,
+    stiffness: Any,
+    want_stiffness: bool,
 ) -> tuple[float, int]:
     """Add pair forces [N] to `force` and, per active point, its nodes and symmetric stiffness.
 
@@ -236,8 +288,9 @@ def pair_contact(
     [J] and the number of active points; `nodes` (.., 8) and `stiffness` (.., 24, 24) must hold
     every point with a negative gap.
 
-    The tangent is the exact second derivative of the closest-point gap, at a fixed `fade` (P. Wriggers,
-    Computational Contact Mechanics, 2006, section 4.2.2, in the form symmetric in both bodies).
+    The tangent is the exact second derivative of the closest-point gap, at a fixed `fade`
+    (P. Wriggers, Computational Contact Mechanics, 2006, section 4.2.2, in the form symmetric in
+    both bodies).
     """
     ns = np.empty(4)
     nm = np.empty(4)
@@ -249,15 +302,17 @@ def pair_contact(
     cn = np.empty((2, 24))
     energy = 0.0
     count = 0
+    slots = partner.shape[1] // points.shape[0]
+    pressure[:] = 0.0
     for f in range(slaves.shape[0]):
-        for q in range(points.shape[0]):
-            pressure[f, q] = 0.0
-            m = partner[f, q]
-            if m < 0 or not gap[f, q] < 0.0:
+        for slot in range(partner.shape[1]):
+            q = slot // slots
+            m = partner[f, slot]
+            if m < 0 or not gap[f, slot] < 0.0 or fade[f, slot] == 0.0:
                 continue
-            g = gap[f, q]
-            xi = local[f, q, 0]
-            eta = local[f, q, 1]
+            g = gap[f, slot]
+            xi = local[f, slot, 0]
+            eta = local[f, slot, 1]
             shape(points[q, 0], points[q, 1], ns)
             shape(xi, eta, nm)
             shape_derivatives(xi, eta, d)
@@ -270,9 +325,9 @@ def pair_contact(
                 normal[i] /= size
             w = share * areas[f, q]
             depth = -g
-            traction = fade[f, q] * coefficient * depth**exponent
-            slope = fade[f, q] * coefficient * exponent * depth ** (exponent - 1.0)
-            pressure[f, q] = traction
+            traction = fade[f, slot] * coefficient * depth**exponent
+            slope = fade[f, slot] * coefficient * exponent * depth ** (exponent - 1.0)
+            pressure[f, q] += traction
             energy += w * traction * depth / (exponent + 1.0)
             # d(energy)/dx = -w traction dg/dx, and dg/dx = N_s n on slaves, -N_m n on masters.
             for a in range(4):
@@ -287,8 +342,10 @@ def pair_contact(
             m11 = 0.0
             for i in range(3):
                 mixed = 0.25 * (
-                    x[masters[m, 0], i] - x[masters[m, 1], i]
-                    + x[masters[m, 2], i] - x[masters[m, 3], i]
+                    x[masters[m, 0], i]
+                    - x[masters[m, 1], i]
+                    + x[masters[m, 2], i]
+                    - x[masters[m, 3], i]
                 )
                 b01 += mixed * normal[i]
                 m00 += t[0, i] * t[0, i]
@@ -331,8 +388,10 @@ def pair_contact(
                         + i00 * (bt[0, r] * cn[0, s] + cn[0, r] * bt[0, s])
                         + i01
                         * (
-                            bt[0, r] * cn[1, s] + cn[1, r] * bt[0, s]
-                            + bt[1, r] * cn[0, s] + cn[0, r] * bt[1, s]
+                            bt[0, r] * cn[1, s]
+                            + cn[1, r] * bt[0, s]
+                            + bt[1, r] * cn[0, s]
+                            + cn[0, r] * bt[1, s]
                         )
                         + i11 * (bt[1, r] * cn[1, s] + cn[1, r] * bt[1, s])
                         - g
@@ -351,9 +410,23 @@ def pair_contact(
 
 @kernel
 def plane_contact(
-    x: Any, anchor: Any, faces: Any, points: Any, areas: Any, origin: Any, normal: Any,
-    coefficient: float, exponent: float, friction: float, stick: float, force: Any,
-    pressure: Any, trial_anchor: Any, nodes: Any, stiffness: Any, want_stiffness: bool,
+    x: Any,
+    anchor: Any,
+    faces: Any,
+    points: Any,
+    areas: Any,
+    origin: Any,
+    normal: Any,
+    coefficient: float,
+    exponent: float,
+    friction: float,
+    stick: float,
+    force: Any,
+    pressure: Any,
+    trial_anchor: Any,
+    nodes: Any,
+    stiffness: Any,
+    want_stiffness: bool,
 ) -> tuple[float, int]:
     """Add the forces of faces on a rigid plane; frictionless, or Coulomb with return mapping.
 
@@ -421,11 +494,10 @@ def plane_contact(
                         for j in range(3):
                             unit = 1.0 if i == j else 0.0
                             k[i, j] += (
-                                w * back * stick
-                                * (
-                                    unit - normal[i] * normal[j]
-                                    - slip[i] * slip[j] / (size * size)
-                                )
+                                w
+                                * back
+                                * stick
+                                * (unit - normal[i] * normal[j] - slip[i] * slip[j] / (size * size))
                             )
                     factor = w * back * stick
                 for a in range(4):

@@ -33,8 +33,12 @@ def effective_modulus(young_1: float, poisson_1: float, young_2: float, poisson_
 
 
 def hertz_stiffness(
-    young_1: float, poisson_1: float, young_2: float, poisson_2: float,
-    radius_1: float, radius_2: float = math.inf,
+    young_1: float,
+    poisson_1: float,
+    young_2: float,
+    poisson_2: float,
+    radius_1: float,
+    radius_2: float = math.inf,
 ) -> float:
     """k of equation 5 [N/m**1.5]; `radius_2` may be infinite (a plane)."""
     radius = 1.0 / (1.0 / radius_1 + 1.0 / radius_2)
@@ -103,6 +107,4 @@ class ContactLaw:
     def traction_coefficient(self) -> float:
         """B in ``traction = B d**m1`` [Pa/m**m1]."""
         d0 = self.reference_penetration
-        return (
-            self.stiffness * d0 ** (1.5 - self.stiffness_exponent) / self.reference_area
-        )
+        return self.stiffness * d0 ** (1.5 - self.stiffness_exponent) / self.reference_area

@@ -9,7 +9,7 @@ from flexapod.contact import kernels
 
 CANDIDATE_COUNT = 12
 # Faces whose normals open wider than this (cosine) do not face each other.
-FACING_COSINE = -0.2
+FACING_COSINE = -0.7
 
 
 def candidate_faces(

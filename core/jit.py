@@ -46,7 +46,10 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 # "contract" lets a*b + c become one rounding (fused multiply-add); it changes no result between
 # runs or thread counts. Full fastmath is left off: it would let NaN checks be optimised away.
 _FLAGS: dict[str, Any] = {
-    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract"},
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract"},
 }
 
 

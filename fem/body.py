@@ -28,7 +28,7 @@ _VTK_CORNERS = np.array(
 def skfem_corner_order() -> np.ndarray:
     """Return `p` with ``skfem_cells = cells[:, p]`` for cells in VTK/Gmsh corner order."""
     corners = ElementHex1.doflocs.astype(int)
-    return np.array([int(np.flatnonzero((_VTK_CORNERS == x).all(axis=1))[0]) for x in corners])
+    return np.array([int(np.flatnonzero((x == _VTK_CORNERS).all(axis=1))[0]) for x in corners])
 
 
 # Bulk modulus that acts point by point, over the shear modulus (see `flexapod.fem.kernels`).
@@ -74,7 +74,13 @@ class SolidBody:
         self._set_adjacency()
         self._forces = np.empty((self.cell_count, 8, 3))
         self._internal_force = InternalForce(
-            self.nodes, self.cells, self.material, self.mu, self.alpha, self.c, self.kappa,
+            self.nodes,
+            self.cells,
+            self.material,
+            self.mu,
+            self.alpha,
+            self.c,
+            self.kappa,
             self.kappa_point,
         )
         self._tangents: np.ndarray | None = None
@@ -89,9 +95,7 @@ class SolidBody:
         """Number of hexahedra."""
         return int(self.cells.shape[0])
 
-    def _assign(
-        self, mesh: TaggedMesh, materials: Mapping[str, SolidMaterial]
-    ) -> np.ndarray:
+    def _assign(self, mesh: TaggedMesh, materials: Mapping[str, SolidMaterial]) -> np.ndarray:
         row = np.full(self.cell_count, -1, dtype=np.int32)
         for index, group in enumerate(materials):
             if group == "*":
@@ -205,7 +209,13 @@ class SolidBody:
     def pressure_error_force(self, u: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         """Forces [N] of an independent `pressure` (cell_count,) minus the body's own dU/dJ."""
         kernels.pressure_error_forces(
-            u, self.cells, self.gradients, self.weights, self.material, self.kappa, pressure,
+            u,
+            self.cells,
+            self.gradients,
+            self.weights,
+            self.material,
+            self.kappa,
+            pressure,
             self._forces,
         )
         out = np.empty((self.node_count, 3))
@@ -220,8 +230,18 @@ class SolidBody:
         if self._tangents is None:
             self._tangents = np.empty((self.cell_count, kernels.PAIR_COUNT, 3, 3))
         kernels.element_tangents(
-            u, self.cells, self.gradients, self.weights, self.material,
-            self.mu, self.alpha, self.c, self.kappa_point, self.kappa, pressure, self._tangents,
+            u,
+            self.cells,
+            self.gradients,
+            self.weights,
+            self.material,
+            self.mu,
+            self.alpha,
+            self.c,
+            self.kappa_point,
+            self.kappa,
+            pressure,
+            self._tangents,
         )
         return self._tangents
 
@@ -231,8 +251,19 @@ class SolidBody:
         logs = np.empty((self.cell_count, 8, 3))
         pressure = np.empty(self.cell_count)
         kernels.element_fields(
-            u, self.cells, self.gradients, self.weights, self.material,
-            self.mu, self.alpha, self.c, self.kappa_point, self.kappa, cauchy, logs, pressure,
+            u,
+            self.cells,
+            self.gradients,
+            self.weights,
+            self.material,
+            self.mu,
+            self.alpha,
+            self.c,
+            self.kappa_point,
+            self.kappa,
+            cauchy,
+            logs,
+            pressure,
         )
         return ElementFields(cauchy, pressure, np.exp(logs).mean(axis=1), logs)
 

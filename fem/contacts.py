@@ -12,6 +12,9 @@ from flexapod.contact.law import ContactLaw
 from flexapod.contact.search import candidate_faces
 from flexapod.fem.loads import Stiffness
 
+# Master faces a contact point may rest on at once: four meet at a corner.
+SLOTS = 1
+
 
 @dataclass(frozen=True)
 class ContactReport:
@@ -83,8 +86,14 @@ class FaceContact:
     """
 
     def __init__(
-        self, name: str, nodes: np.ndarray, surface: np.ndarray, partner: np.ndarray,
-        law: ContactLaw, depth: float = 1.5e-3, margin: float = 0.5,
+        self,
+        name: str,
+        nodes: np.ndarray,
+        surface: np.ndarray,
+        partner: np.ndarray,
+        law: ContactLaw,
+        depth: float = 1.5e-3,
+        margin: float = 0.3,
         joint_gap: float = 5e-4,
     ) -> None:
         self.name = name
@@ -127,15 +136,38 @@ class FaceContact:
         self, p: _Pass, x: np.ndarray, residual: np.ndarray, tangent: bool
     ) -> tuple[float, int]:
         kernels.find_partners(
-            x, p.slaves, kernels.POINTS, p.masters, p.candidates, self.depth, self.margin,
-            p.partner, p.local, p.gap, p.fade,
+            x,
+            p.slaves,
+            kernels.POINTS,
+            p.masters,
+            p.candidates,
+            self.depth,
+            self.margin,
+            p.partner,
+            p.local,
+            p.gap,
+            p.fade,
         )
         if tangent:
             p.reserve(int((p.gap < 0.0).sum()))
         energy, count = kernels.pair_contact(
-            x, p.slaves, kernels.POINTS, p.areas, p.masters, p.partner, p.local, p.gap,
-            p.fade, self.law.traction_coefficient, self.law.stiffness_exponent, 0.5, residual, p.pressure,
-            p.nodes, p.stiffness, tangent,
+            x,
+            p.slaves,
+            kernels.POINTS,
+            p.areas,
+            p.masters,
+            p.partner,
+            p.local,
+            p.gap,
+            p.fade,
+            self.law.traction_coefficient,
+            self.law.stiffness_exponent,
+            0.5,
+            residual,
+            p.pressure,
+            p.nodes,
+            p.stiffness,
+            tangent,
         )
         return float(energy), int(count)
 
@@ -157,10 +189,10 @@ class FaceContact:
         first = np.zeros_like(x)
         for p in self._passes:
             self._evaluate(p, x, first, False)
-            touching = p.gap < 0.0
+            touching = p.pressure > 0.0
             area += 0.5 * float(p.areas[touching].sum())
             if touching.any():
-                deepest = max(deepest, -float(p.gap[touching].min()))
+                deepest = max(deepest, -float(p.gap[p.fade > 0.0].min()))
                 highest = max(highest, float(p.pressure.max()))
         on_first = -first[np.unique(self._passes[0].slaves)].sum(axis=0)
         return ContactReport(on_first, area, deepest, highest)
@@ -179,10 +211,11 @@ class _Pass:
         count = (slaves.shape[0], kernels.POINTS.shape[0])
         self.areas = np.empty(count)
         kernels.point_areas(nodes, slaves, kernels.POINTS, self.areas)
-        self.partner = np.full(count, -1, dtype=np.int32)
-        self.local = np.zeros((*count, 2))
-        self.gap = np.full(count, np.inf)
-        self.fade = np.zeros(count)
+        shared = (count[0], count[1] * SLOTS)
+        self.partner = np.full(shared, -1, dtype=np.int32)
+        self.local = np.zeros((*shared, 2))
+        self.gap = np.full(shared, np.inf)
+        self.fade = np.zeros(shared)
         self.pressure = np.zeros(count)
         self.nodes = np.empty((0, 8), dtype=np.int64)
         self.stiffness = np.empty((0, 24, 24))
@@ -195,8 +228,17 @@ class _Pass:
             x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
         )
         kernels.find_partners(
-            x, self.slaves, kernels.POINTS, self.masters, self.candidates, depth, margin,
-            self.partner, self.local, self.gap, self.fade,
+            x,
+            self.slaves,
+            kernels.POINTS,
+            self.masters,
+            self.candidates,
+            depth,
+            margin,
+            self.partner,
+            self.local,
+            self.gap,
+            self.fade,
         )
         near = np.unique(
             np.stack([np.nonzero(self.gap < 0.5 * depth)[0], self.partner[self.gap < 0.5 * depth]]),
@@ -237,8 +279,13 @@ class PlaneContact:
     """
 
     def __init__(
-        self, name: str, nodes: np.ndarray, surface: np.ndarray,
-        origin: tuple[float, float, float], normal: tuple[float, float, float], law: ContactLaw,
+        self,
+        name: str,
+        nodes: np.ndarray,
+        surface: np.ndarray,
+        origin: tuple[float, float, float],
+        normal: tuple[float, float, float],
+        law: ContactLaw,
     ) -> None:
         self.name = name
         self.law = law
@@ -277,9 +324,23 @@ class PlaneContact:
     def _evaluate(self, x: np.ndarray, residual: np.ndarray, tangent: bool) -> tuple[float, int]:
         law = self.law
         energy, count = kernels.plane_contact(
-            x, self.anchor, self.surface, kernels.POINTS, self.areas, self.origin, self.normal,
-            law.traction_coefficient, law.stiffness_exponent, law.friction, law.stick_stiffness,
-            residual, self.pressure, self._trial, self._nodes, self._stiffness, tangent,
+            x,
+            self.anchor,
+            self.surface,
+            kernels.POINTS,
+            self.areas,
+            self.origin,
+            self.normal,
+            law.traction_coefficient,
+            law.stiffness_exponent,
+            law.friction,
+            law.stick_stiffness,
+            residual,
+            self.pressure,
+            self._trial,
+            self._nodes,
+            self._stiffness,
+            tangent,
         )
         return float(energy), int(count)
 

@@ -92,8 +92,18 @@ def _left_cauchy_green(f: Any, b: Any) -> None:
 
 @parallel_kernel
 def element_tangents(
-    u: Any, cells: Any, gradients: Any, weights: Any, material: Any,
-    mu: Any, alpha: Any, c: Any, kappa_point: Any, kappa: Any, pressure: Any, out: Any,
+    u: Any,
+    cells: Any,
+    gradients: Any,
+    weights: Any,
+    material: Any,
+    mu: Any,
+    alpha: Any,
+    c: Any,
+    kappa_point: Any,
+    kappa: Any,
+    pressure: Any,
+    out: Any,
 ) -> None:
     """Fill `out` (cell_count, 36, 3, 3) with the consistent tangent blocks of corner pairs a <= b.
 
@@ -212,7 +222,14 @@ def element_tangents(
 
 @parallel_kernel
 def predict_pressure(
-    u: Any, du: Any, cells: Any, gradients: Any, weights: Any, material: Any, kappa: Any, out: Any,
+    u: Any,
+    du: Any,
+    cells: Any,
+    gradients: Any,
+    weights: Any,
+    material: Any,
+    kappa: Any,
+    out: Any,
 ) -> None:
     """Fill `out` (cell_count,) with dU/dJ [Pa] linearised from `u` along `du`.
 
@@ -250,7 +267,13 @@ def predict_pressure(
 
 @parallel_kernel
 def pressure_error_forces(
-    u: Any, cells: Any, gradients: Any, weights: Any, material: Any, kappa: Any, pressure: Any,
+    u: Any,
+    cells: Any,
+    gradients: Any,
+    weights: Any,
+    material: Any,
+    kappa: Any,
+    pressure: Any,
     out: Any,
 ) -> None:
     """Fill `out` (cell_count, 8, 3) with the forces [N] of `pressure` minus the body's own dU/dJ.
@@ -303,8 +326,14 @@ def gather_forces(element_forces: Any, node_start: Any, node_cell: Any, out: Any
 
 @parallel_kernel
 def gather_tangents(
-    tangents: Any, cells: Any, pair_of: Any, node_start: Any, node_cell: Any,
-    row_start: Any, block_position: Any, blocks: Any,
+    tangents: Any,
+    cells: Any,
+    pair_of: Any,
+    node_start: Any,
+    node_cell: Any,
+    row_start: Any,
+    block_position: Any,
+    blocks: Any,
 ) -> None:
     """Sum element blocks into the upper node blocks (block_count, 3, 3), row by row."""
     for node in numba.prange(row_start.shape[0] - 1):
@@ -346,9 +375,7 @@ def find_block_positions(cells: Any, row_start: Any, columns: Any, out: Any) -> 
 
 
 @kernel
-def add_blocks(
-    nodes: Any, stiffness: Any, row_start: Any, columns: Any, blocks: Any
-) -> int:
+def add_blocks(nodes: Any, stiffness: Any, row_start: Any, columns: Any, blocks: Any) -> int:
     """Add dense symmetric (item_count, 3k, 3k) matrices over `nodes` (item_count, k).
 
     Returns the number of node pairs the pattern lacks (0 when all went in). A node listed twice
@@ -400,9 +427,7 @@ def blocks_to_csr(
 
 
 @kernel
-def blocks_product(
-    blocks: Any, row_start: Any, columns: Any, vector: Any, out: Any
-) -> None:
+def blocks_product(blocks: Any, row_start: Any, columns: Any, vector: Any, out: Any) -> None:
     """Product of the symmetric block matrix with `vector` (node_count, 3)."""
     out[:] = 0.0
     for node in range(row_start.shape[0] - 1):
@@ -417,11 +442,21 @@ def blocks_product(
 
 @parallel_kernel
 def element_fields(
-    u: Any, cells: Any, gradients: Any, weights: Any, material: Any,
-    mu: Any, alpha: Any, c: Any, kappa_point: Any, kappa: Any,
-    cauchy: Any, log_stretches: Any, pressure: Any,
+    u: Any,
+    cells: Any,
+    gradients: Any,
+    weights: Any,
+    material: Any,
+    mu: Any,
+    alpha: Any,
+    c: Any,
+    kappa_point: Any,
+    kappa: Any,
+    cauchy: Any,
+    log_stretches: Any,
+    pressure: Any,
 ) -> None:
-    """Volume-mean Cauchy stress (cell_count, 3, 3) [Pa], pressure [Pa] and, per point, log stretches.
+    """Volume-mean Cauchy stress (cell_count, 3, 3) and pressure [Pa], log stretches per point.
 
     `log_stretches` has shape (cell_count, 8, 3), sorted descending; `pressure` is minus a third
     of the trace of the Cauchy stress.

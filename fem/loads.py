@@ -89,9 +89,7 @@ def gravity(name: str, node_mass: np.ndarray, acceleration: Sequence[float]) -> 
     return DeadLoad(name, node_mass[:, None] * np.asarray(acceleration, dtype=float))
 
 
-def traction(
-    name: str, nodes: np.ndarray, faces: np.ndarray, value: Sequence[float]
-) -> DeadLoad:
+def traction(name: str, nodes: np.ndarray, faces: np.ndarray, value: Sequence[float]) -> DeadLoad:
     """A traction [Pa] of fixed direction over the reference area of `faces`."""
     share = face_node_areas(nodes, faces)
     return DeadLoad(name, share[:, None] * np.asarray(value, dtype=float))

@@ -72,15 +72,19 @@ class BlockPattern:
     def gather(self, body: SolidBody, tangents: np.ndarray) -> None:
         """Fill the blocks with the sum of element tangents (cell_count, 36, 3, 3)."""
         kernels.gather_tangents(
-            tangents, body.cells, kernels.PAIR_OF, body.node_start, body.node_cell,
-            self.row_start, self.block_position, self.blocks,
+            tangents,
+            body.cells,
+            kernels.PAIR_OF,
+            body.node_start,
+            body.node_cell,
+            self.row_start,
+            self.block_position,
+            self.blocks,
         )
 
     def add(self, nodes: np.ndarray, stiffness: np.ndarray) -> int:
         """Add symmetric matrices over node sets; return how many node pairs the pattern lacks."""
-        return int(
-            kernels.add_blocks(nodes, stiffness, self.row_start, self.columns, self.blocks)
-        )
+        return int(kernels.add_blocks(nodes, stiffness, self.row_start, self.columns, self.blocks))
 
     def add_diagonal(self, values: np.ndarray) -> None:
         """Add a scalar stiffness [N/m] to each node, shape (node_count,)."""

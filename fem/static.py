@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from flexapod.fem.contacts import Contact
 from flexapod.fem.loads import Conditions, Displacement, Load
 from flexapod.fem.newton import NewtonOptions, NewtonReport, newton
 from flexapod.fem.sparse import BlockPattern, DirectSolver
+
+
+# Residual over force scale that ends a creep stage.
+CREEP_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class LoadStep:
     factors: Mapping[str, float]
     outputs: int = 1
     first: float = 0.1
-    smallest: float = 1e-3
+    smallest: float = 8e-3
     largest: float = 1.0
 
     def __post_init__(self) -> None:
@@ -67,7 +71,7 @@ class PathOptions:
     cut: float = 0.35  # of the increment after a failure
     easy_iterations: int = 9  # at most this many iterations count as easy
     damped: bool = True  # creep past limit points in a viscous bath
-    damped_stages: int = 60  # largest number of creep stages at one load
+    damped_stages: int = 200  # largest number of creep stages at one load
 
 
 @dataclass
@@ -125,7 +129,10 @@ class StaticProblem:
     """
 
     def __init__(
-        self, body: SolidBody, displacements: Sequence[Displacement], loads: Sequence[Load],
+        self,
+        body: SolidBody,
+        displacements: Sequence[Displacement],
+        loads: Sequence[Load],
         contacts: Sequence[Contact] = (),
     ) -> None:
         self.body = body
@@ -214,9 +221,7 @@ class StaticProblem:
 
     def force_scale(self, factors: Mapping[str, float], residual: np.ndarray) -> float:
         """The force [N] residuals are compared with: the largest load or reaction at a node."""
-        scale = max(
-            (abs(factors.get(n, 0.0)) * s for n, s in self.scale.items()), default=0.0
-        )
+        scale = max((abs(factors.get(n, 0.0)) * s for n, s in self.scale.items()), default=0.0)
         fixed = self.conditions.fixed
         if fixed.any():
             scale = max(scale, float(np.abs(residual[fixed]).max()))
@@ -291,8 +296,12 @@ def solve_path(
 
 class _Path:
     def __init__(
-        self, problem: StaticProblem, steps: Sequence[LoadStep], options: PathOptions,
-        on_increment: Callable[[Increment], None] | None, start: PathState | None,
+        self,
+        problem: StaticProblem,
+        steps: Sequence[LoadStep],
+        options: PathOptions,
+        on_increment: Callable[[Increment], None] | None,
+        start: PathState | None,
         on_message: Callable[[str], None] | None,
     ) -> None:
         self.problem = problem
@@ -345,10 +354,7 @@ class _Path:
             if next_output - reach < 0.2 * increment and next_output - state.time <= step.largest:
                 reach = next_output
             size = reach - state.time
-            target = {
-                **state.factors,
-                **{k: begin[k] + reach * (v - begin[k]) for k, v in step.factors.items()},
-            }
+            target = self._target(step, begin, reach)
             u, report, failure = self._solve(target, size)
             damped = False
             if failure is not None:
@@ -361,7 +367,12 @@ class _Path:
                     raise SolverError(
                         Status.STEP_TOO_SMALL, f"stopped at {self._place()}: {failure.value}"
                     )
+                # Where small increments fail, the body is about to jump or contact to change at
+                # many places at once: creep all the way to the next output instead.
                 self.say(f"{failure.name.lower()}: damped path at {self._place()}")
+                reach = next_output
+                size = reach - state.time
+                target = self._target(step, begin, reach)
                 u, report = self._creep(target, failure)
                 damped = True
                 self.stats.damped_increments += 1
@@ -383,7 +394,7 @@ class _Path:
             state.history = self.problem.save_history()
             self.stats.increments += 1
             if damped:
-                increment = max(step.smallest, 0.25 * step.first)
+                increment = max(step.smallest, step.first)
             elif report.iterations <= self.options.easy_iterations:
                 increment = max(increment, size) * self.options.growth
             elif report.iterations > 2 * self.options.easy_iterations:
@@ -401,12 +412,15 @@ class _Path:
             if last:
                 return
 
+    def _target(self, step: LoadStep, begin: dict[str, float], reach: float) -> dict[str, float]:
+        """Factors at the time `reach` of a step."""
+        moving = {k: begin[k] + reach * (v - begin[k]) for k, v in step.factors.items()}
+        return {**self.state.factors, **moving}
+
     def _begin_factors(self, step: LoadStep) -> dict[str, float]:
         """Factors at the step's start, also when it is resumed half way."""
         t = self.state.time
-        return {
-            k: (self.state.factors[k] - t * v) / (1.0 - t) for k, v in step.factors.items()
-        }
+        return {k: (self.state.factors[k] - t * v) / (1.0 - t) for k, v in step.factors.items()}
 
     def _solve(
         self, target: dict[str, float], size: float
@@ -424,22 +438,31 @@ class _Path:
         return self._newton(state.u.copy(), target)
 
     def _newton(
-        self, guess: np.ndarray, target: dict[str, float],
-        damping: np.ndarray | None = None, anchor: np.ndarray | None = None,
+        self,
+        guess: np.ndarray,
+        target: dict[str, float],
+        damping: np.ndarray | None = None,
+        anchor: np.ndarray | None = None,
     ) -> tuple[np.ndarray, NewtonReport, Status | None]:
+        options = self.options.newton
+        if damping is not None:
+            # On its way the creeping body need not be in balance to the last digit, and a
+            # contact point that flickers must not stop it; where it comes to rest it must.
+            options = replace(
+                options,
+                residual_tolerance=max(options.residual_tolerance, CREEP_TOLERANCE),
+                increment_tolerance=max(options.increment_tolerance, 0.1 * CREEP_TOLERANCE),
+            )
         pressure = self.problem.pressure
         u, report, failure = newton(
-            self.problem, self.solver, guess, target, self.options.newton, self.body_size,
-            damping, anchor,
+            self.problem, self.solver, guess, target, options, self.body_size, damping, anchor
         )
         self.stats.iterations += report.iterations
         if failure is not None:
             self.problem.pressure = pressure
         return u, report, failure
 
-    def _creep(
-        self, target: dict[str, float], failure: Status
-    ) -> tuple[np.ndarray, NewtonReport]:
+    def _creep(self, target: dict[str, float], failure: Status) -> tuple[np.ndarray, NewtonReport]:
         """Hold the load and let the body creep to equilibrium in a thinning viscous bath."""
         body = self.problem.body
         soft = min(m.law.shear_modulus for m in body.materials)
@@ -447,7 +470,8 @@ class _Path:
         width = np.cbrt(body.cell_volume.mean())
         unit = soft / width**2 * body.node_volume
         u = self.state.u.copy()
-        strength, work = 0.1, 0.0
+        strength, work = 0.02, 0.0
+        tried = 0
         for stage in range(self.options.damped_stages):
             new, report, bad = self._newton(u, target, strength * unit, u)
             if bad is not None:
@@ -462,7 +486,9 @@ class _Path:
             easy = report.iterations <= self.options.easy_iterations
             strength *= 0.2 if easy else 0.5
             # Free of the bath, Newton lands once the body creeps slowly under a thin bath.
-            if strength < 1e-3 and np.abs(move).max() < 2e-3 * self.body_size:
+            slow = np.abs(move).max() < 2e-3 * self.body_size
+            if slow and strength < 1e-3 and stage >= tried:
+                tried = stage + 3
                 final, report, bad = self._newton(u, target)
                 if bad is None:
                     self.state.damped_work += work
