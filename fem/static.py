@@ -22,7 +22,6 @@ from flexapod.fem.loads import Conditions, Displacement, Load
 from flexapod.fem.newton import NewtonOptions, NewtonReport, newton
 from flexapod.fem.sparse import BlockPattern, DirectSolver
 
-
 # Residual over force scale that ends a creep stage.
 CREEP_TOLERANCE = 1e-2
 

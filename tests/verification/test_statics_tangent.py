@@ -135,7 +135,6 @@ def test_follower_pressure_of_a_cavity_cut_by_three_planes() -> None:
     assert _load_error(load, x, free) < 1e-10
 
 
-@pytest.mark.xfail(reason="Cavity closes a boundary that runs over several planes by one fan")
 def test_volume_of_a_cavity_cut_by_three_planes() -> None:
     mesh, _ = octant()
     volume = Cavity("c", mesh.facet_groups["cavity"]).volume(mesh.nodes)
