@@ -249,7 +249,7 @@ class _ContactBase(_Table):
 
 class _FaceContactBase(_ContactBase):
     depth: PositiveLength = Field(
-        default=_text("2 mm"),
+        default=_text("1 mm"),
         description="Deepest penetration still seen; less than half the thinnest wall.",
     )
 

@@ -92,7 +92,7 @@ class FaceContact:
         surface: np.ndarray,
         partner: np.ndarray,
         law: ContactLaw,
-        depth: float = 1.5e-3,
+        depth: float = 1e-3,
         margin: float = 0.3,
         joint_gap: float = 5e-4,
     ) -> None:

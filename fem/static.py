@@ -483,7 +483,11 @@ class _Path:
             u = new
             self.say(f"creep {stage}: bath {strength:.1e}, move {np.abs(move).max():.1e} m")
             easy = report.iterations <= self.options.easy_iterations
-            strength *= 0.2 if easy else 0.5
+            # A stage that moves far may carry one wall through another unseen.
+            if np.abs(move).max() > 0.03 * self.body_size:
+                strength *= 1.5
+            else:
+                strength *= 0.3 if easy else 0.7
             # Free of the bath, Newton lands once the body creeps slowly under a thin bath.
             slow = np.abs(move).max() < 2e-3 * self.body_size
             if slow and strength < 1e-3 and stage >= tried:
