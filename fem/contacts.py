@@ -12,7 +12,8 @@ from flexapod.contact.law import ContactLaw
 from flexapod.contact.search import candidate_faces
 from flexapod.fem.loads import Stiffness
 
-# Master faces a contact point may rest on at once: four meet at a corner.
+# Master faces a contact point may rest on at once. With more than one, the change of their shares
+# is missing from the tangent and Newton's method fails (docs/decisions.md).
 SLOTS = 1
 
 
