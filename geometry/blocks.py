@@ -83,11 +83,28 @@ class UnitRow:
         Per axis, the intervals [m] that count as walls for the subdivision.
     unit_count
         Units of the whole body.
+    servo_boxes
+        Boxes painted over a servo station: solids that are servo as the limit groups are.
+    slot_boxes
+        Boxes painted over a whole unit that makes room for a station; an air path that they
+        paint over is solid also in the unit next to it.
+    slot_length
+        Length of what a station must neither cut nor touch, centred in a unit [m].
+
+    The boxes of servo and slot add no planes: their sides lie on planes of the others.
     """
 
     boxes: tuple[Box, ...]
     walls: tuple[tuple[tuple[float, float], ...], ...]
     unit_count: int
+    servo_boxes: tuple[Box, ...] = ()
+    slot_boxes: tuple[Box, ...] = ()
+    slot_length: float = 0.0
+
+    @property
+    def pitch(self) -> float:
+        """Length of a unit [m]."""
+        return 2.0 * max(box.x[1] for box in self.boxes)
 
 
 def subdivide(
@@ -150,6 +167,92 @@ def _paint(boxes: tuple[Box, ...], lines: list[np.ndarray]) -> np.ndarray:
         ]
         owner[np.ix_(*inside)] = number + 1
     return owner
+
+
+def _lattice(
+    row: UnitRow, sizing: Sizing
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
+    """Planes of half a unit, elements between them and all lattice positions, per axis."""
+    planes = [
+        _unique_planes([v for box in row.boxes for v in interval(box)])
+        for interval in (lambda b: b.x, lambda b: b.y, lambda b: b.z)
+    ]
+    counts = [subdivide(p, w, sizing) for p, w in zip(planes, row.walls, strict=True)]
+    return planes, counts, [_lines(p, c) for p, c in zip(planes, counts, strict=True)]
+
+
+def _row_lines(half_line: np.ndarray, unit_count: int, first: int) -> np.ndarray:
+    """Lattice positions along x [m] from half unit `first` of 2 n to the body's right end."""
+    pitch = 2.0 * float(half_line[-1])
+    parts: list[np.ndarray] = []
+    for half in range(first, 2 * unit_count):
+        middle = (half // 2 + 0.5 - unit_count / 2.0) * pitch
+        x = middle - half_line[::-1] if half % 2 == 0 else middle + half_line
+        parts.append(x[1:] if parts else x)
+    lines = np.concatenate(parts)
+    if first == unit_count:
+        lines[0] = 0.0
+    return lines
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Servo stations on the lattice, and what gives way to them.
+
+    Attributes
+    ----------
+    intervals
+        Intervals of x [m] between lattice planes.
+    slots
+        Whether a unit makes room, shape (unit_count,); never without `UnitRow.servo_boxes`.
+    shut
+        Whether the slot's air path is closed between two units or at an end of the body, shape
+        (unit_count + 1,).
+    """
+
+    intervals: tuple[tuple[float, float], ...]
+    slots: np.ndarray
+    shut: np.ndarray
+
+
+def place_stations(
+    row: UnitRow, sizing: Sizing, servos: tuple[tuple[float, float], ...]
+) -> Stations:
+    """Snap servo stations to the lattice and see which units make room for them.
+
+    Parameters
+    ----------
+    row
+        Half a unit and the number of units.
+    sizing
+        Longest edge and elements through walls.
+    servos
+        Intervals of x [m]; each end moves to the nearest lattice plane, of two equally near
+        ones to that nearer the middle, so that what is symmetric stays so.
+    """
+    count = row.unit_count
+    right = _row_lines(_lattice(row, sizing)[2][0], count, count)  # the left is its mirror image
+
+    def snap(x: float) -> float:
+        return float(np.copysign(right[np.argmin(np.abs(right - abs(x)))], x))
+
+    intervals = tuple((snap(start), snap(stop)) for start, stop in servos)
+    slots, shut = np.zeros(count, dtype=bool), np.zeros(count + 1, dtype=bool)
+    shut[[0, -1]] = True
+    if row.servo_boxes:
+        middles = (np.arange(count) + 0.5 - count / 2.0) * row.pitch
+        reach = row.slot_length / 2.0 + _PLANE_TOLERANCE
+        for start, stop in intervals:
+            if not start < stop:
+                raise InputError(
+                    "a servo station is shorter than an element: lengthen it or refine",
+                    "mesh.servo_length",
+                )
+            slots |= (middles - reach < stop) & (middles + reach > start)
+            shut[1:-1] |= (middles[:-1] < stop) & (middles[1:] > start)
+        shut[:-1] |= slots
+        shut[1:] |= slots
+    return Stations(intervals, slots, shut)
 
 
 def _import_gmsh() -> Any:
@@ -312,8 +415,9 @@ def build_row(
         Cell groups whose cells may become servos.
     servos
         Intervals of x [m]. Their ends add no planes but snap to the nearest lattice plane (at
-        most half an element, about 1 mm); the cells of `limit_groups` inside the n-th go to the
-        cell group "servo_n", numbered along the whole body also where a part is modelled.
+        most half an element, about 1 mm); the cells of `limit_groups` and of the row's servo
+        boxes inside the n-th go to the cell group "servo_n", numbered along the whole body also
+        where a part is modelled.
 
     Returns
     -------
@@ -321,49 +425,51 @@ def build_row(
     """
     _check_symmetry(symmetry)
     x_cut, y_cut = symmetry != "whole", symmetry == "quarter"
-    boxes = row.boxes
-    planes = [
-        _unique_planes([v for box in boxes for v in interval(box)])
-        for interval in (lambda b: b.x, lambda b: b.y, lambda b: b.z)
-    ]
-    counts = [subdivide(p, w, sizing) for p, w in zip(planes, row.walls, strict=True)]
-    half_lines = [_lines(p, c) for p, c in zip(planes, counts, strict=True)]
+    boxes = (*row.boxes, *row.slot_boxes, *row.servo_boxes)
+    planes, counts, half_lines = _lattice(row, sizing)
+    stations = place_stations(row, sizing, servos)
     has_material = np.array([False] + [bool(box.material) for box in boxes])
     is_plug = np.array([False] + [bool(box.material and box.air) for box in boxes])
 
-    nodes, cells = gmsh_blocks(planes, counts, has_material[_paint(boxes, planes)])
+    # Half a unit as it is, as one that makes room for a station, and inside a station.
+    ends = (len(row.boxes), len(row.boxes) + len(row.slot_boxes), len(boxes))
+    blocks = np.any([has_material[_paint(boxes[:end], planes)] for end in ends], axis=0)
+    nodes, cells = gmsh_blocks(planes, counts, blocks)
     low = _cells_on_lattice(nodes, cells, half_lines)
-    owner = _paint(boxes, half_lines)
-    meshed = np.zeros(owner.shape, dtype=bool)
+    meshed = np.zeros([len(line) - 1 for line in half_lines], dtype=bool)
     meshed[tuple(low.T)] = True
+    owners = np.stack([_paint(boxes[:end], half_lines) for end in ends])
+    in_slot = owners[0] != owners[1]
 
     # Half units from left to right: the left half of a unit is the mirrored right half.
-    pitch = 2.0 * float(planes[0][-1])
-    halves = range(row.unit_count if x_cut else 0, 2 * row.unit_count)
-    x_parts: list[np.ndarray] = []
+    first = row.unit_count if x_cut else 0
+    x_lines = _row_lines(half_lines[0], row.unit_count, first)
+    x_middle = (x_lines[:-1] + x_lines[1:]) / 2.0
+    in_station = np.zeros(len(x_middle), dtype=bool)
+    for start, stop in stations.intervals:
+        in_station |= (x_middle > start) & (x_middle < stop)
     owner_parts: list[np.ndarray] = []
-    meshed_parts: list[np.ndarray] = []
-    for half in halves:
-        middle = (half // 2 + 0.5 - row.unit_count / 2.0) * pitch
-        mirrored = half % 2 == 0
-        x = middle - half_lines[0][::-1] if mirrored else middle + half_lines[0]
-        x_parts.append(x[1:] if x_parts else x)
-        is_end = half in (0, 2 * row.unit_count - 1)
+    solid_parts: list[np.ndarray] = []
+    width = owners.shape[1]
+    for half in range(first, 2 * row.unit_count):
+        slices = np.arange(width)[:: -1 if half % 2 == 0 else 1]
+        inside = in_station[(half - first) * width :][:width]
+        owner = owners[np.where(inside, 2, int(stations.slots[half // 2])), slices]
         # Only the outward half of the outermost units keeps its plugs: the ends are closed.
-        keep = meshed & (~is_plug[owner] | is_end)
-        owner_parts.append(owner[::-1] if mirrored else owner)
-        meshed_parts.append(keep[::-1] if mirrored else keep)
-    x_lines = np.concatenate(x_parts)
-    if x_cut:
-        x_lines[0] = 0.0
-    owner, solid = np.concatenate(owner_parts), np.concatenate(meshed_parts)
+        is_end = half in (0, 2 * row.unit_count - 1)
+        plugged = is_end | (stations.shut[(half + 1) // 2] & in_slot[slices])
+        owner_parts.append(owner)
+        solid_parts.append(meshed[slices] & has_material[owner] & (~is_plug[owner] | plugged))
+    owner, solid = np.concatenate(owner_parts), np.concatenate(solid_parts)
     y_lines = half_lines[1]
     if not y_cut:
         y_lines = np.concatenate([-y_lines[:0:-1], y_lines])
         owner = np.concatenate([owner[:, ::-1], owner], axis=1)
         solid = np.concatenate([solid[:, ::-1], solid], axis=1)
     lines = (x_lines, y_lines, half_lines[2])
-    mesh = _tag(boxes, owner, solid, lines, (x_cut, y_cut), limit_groups, servos)
+    housings = tuple(box.material for box in row.servo_boxes)
+    cuts, intervals = (x_cut, y_cut), stations.intervals
+    mesh = _tag(boxes, owner, solid, lines, cuts, limit_groups, housings, intervals)
     return BuiltRow(mesh, lines)
 
 
@@ -374,6 +480,7 @@ def _tag(
     lines: tuple[np.ndarray, np.ndarray, np.ndarray],
     cuts: tuple[bool, bool],
     limit_groups: tuple[str, ...],
+    housings: tuple[str, ...],
     servos: tuple[tuple[float, float], ...],
 ) -> TaggedMesh:
     """Number the nodes of a solid lattice and name its cells and facets."""
@@ -391,10 +498,10 @@ def _tag(
     x_middle = ((lines[0][:-1] + lines[0][1:]) / 2.0)[low[:, 0]]
     cell_groups: dict[str, np.ndarray] = {}
     is_limit = np.isin(names, limit_groups)
+    may_be_servo = np.isin(names, (*limit_groups, *housings))
     is_servo = np.zeros(len(cells), dtype=bool)
     for number, (start, stop) in enumerate(servos):
-        ends = [float(lines[0][np.argmin(np.abs(lines[0] - v))]) for v in (start, stop)]
-        inside = is_limit & (x_middle > ends[0]) & (x_middle < ends[1])
+        inside = may_be_servo & (x_middle > start) & (x_middle < stop)
         if inside.any():
             cell_groups[f"servo_{number}"] = np.flatnonzero(inside)
         if np.any(is_servo & inside):
@@ -419,7 +526,7 @@ def _tag(
         (2, -1): "underside",
         (2, 1): "top",
     }
-    first_gap = _first_gap(boxes, owner)
+    first_gap = {box.air: _first_gap(boxes, owner, box.air) for box in boxes}
     for face, (axis, step) in zip(HEX_FACES, _FACE_STEPS, strict=True):
         beyond = low.copy()
         beyond[:, axis] += step
@@ -455,7 +562,7 @@ def _tag(
                 put("chamber_faces", quads)
                 put("chamber_faces" + box.air.removeprefix("gap"), quads)
                 if cuts[0]:
-                    near = behind[0][mine] < first_gap
+                    near = behind[0][mine] < first_gap[box.air]
                     put("chamber_faces_symmetry_x", quads[near])
             elif (axis, step) == (2, 1):
                 put("top", quads)
@@ -463,8 +570,8 @@ def _tag(
     return TaggedMesh(nodes, cells, cell_groups, facet_groups, cavity_names(facet_groups))
 
 
-def _first_gap(boxes: tuple[Box, ...], owner: np.ndarray) -> int:
-    """Lattice cells along x that belong to the half gap at the start of the row."""
-    is_gap = np.array([False] + [box.air.startswith("gap") for box in boxes])
+def _first_gap(boxes: tuple[Box, ...], owner: np.ndarray, air: str) -> int:
+    """Lattice cells along x that belong to this row's gap at the start of the body."""
+    is_gap = np.array([False] + [box.air == air and air.startswith("gap") for box in boxes])
     has_gap = is_gap[owner].any(axis=(1, 2))
     return int(np.argmin(has_gap)) if not has_gap.all() else 0

@@ -6,15 +6,17 @@ Each builder is a frozen dataclass of options in SI with `build()`, `expected_vo
 Groups every builder writes
 ---------------------------
 Cells: "silicone" and "servo_0", "servo_1", ... carry a material and together are the whole
-mesh; "limit_layer", "main", "assistant" and "turn" overlap them and only help to name places.
+mesh; "limit_layer", "main", "assistant" and "turn" overlap them and only help to name places,
+as does "housing", the servos' blocks with ``servo_place = "turning_rows"``.
 
 Facets: "cavity_*"; "symmetry_x", "symmetry_y"; "end" (x = xmax) and "end_left"; "underside",
 "top"; "side_left", "side_right"; "chamber_faces" (every facet at a gap, its floor included) and
-the same per row, "chamber_faces_main" ...; "chamber_faces_symmetry_x", those at the half gap
-whose other half is the mirror image; "end_spine", the part of "end" that belongs to the limit
-layer (the probe of the bending angle); "servo_faces", the exterior facets of the servo stations
-if there are any; "outer", every exterior facet that is neither in a cavity nor on a symmetry
-plane.
+the same per row, "chamber_faces_main" ... (the room beside a servo in the turning rows is a gap
+too, so the sides of the servo that look along x are among them); "chamber_faces_symmetry_x", those
+at the half gap whose other half is the mirror image; "end_spine", the part of "end" that belongs
+to the limit layer (the probe of the bending angle); "servo_faces", the exterior facets of the
+servo stations if there are any; "outer", every exterior facet that is neither in a cavity nor on a
+symmetry plane.
 
 Cavities: "cavity_main" of "pneunet"; "cavity_turn_left" and "cavity_turn_right" of "turn". "curl"
 has these two beside "cavity_curl", the air of main and assistant chambers together; with

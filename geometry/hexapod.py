@@ -21,6 +21,15 @@ right under its ceiling: of the whole wall this place is nearest to the limit la
 stretches, and at least 4 mm of silicone lie round the hole. Main and assistant chambers are then
 one cavity. A path along x (``assistant_feed = "row"``) is kept for comparison: it has only 1 mm
 of silicone to the main row's gap, which balloons at about 25 kPa.
+
+The paper does not draw where the six servos sit, two to a station. Its section 2.3 places them
+"in the slots position", "connected by long double-headed bolts through the limitation layer", and
+section 4.1 speaks of "a servo motor in the middle of the turning part". A servo of their size
+(standard, 45.2 x 24.7 x 35 mm) does not fit into the limit layer (36 x 15 mm for two), but 24.7 x
+35 mm is about the section of a turning row (23 x 34 mm). ``servo_place = "turning_rows"`` builds
+that: a block fills the section of both turning rows over the station, the limit layer between them
+is clamped by the bolts, and the turning units in the way are left out but for their connections
+and, beside the block, for the floor that is the ceiling of the assistant chambers below.
 """
 
 from __future__ import annotations
@@ -28,8 +37,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import numpy as np
+
 from flexapod.core.errors import InputError
-from flexapod.geometry.blocks import Box, Sizing, UnitRow, build_row
+from flexapod.geometry.blocks import Box, Sizing, UnitRow, build_row, place_stations
 from flexapod.geometry.pneunet import (
     ASSISTANT_CURL,
     MAIN_CURL,
@@ -42,8 +53,10 @@ from flexapod.geometry.pneunet import (
 from flexapod.geometry.tagged import TaggedMesh
 
 _CLOSE = 1e-9  # [m]
+_NO_AIR = 1e-15  # [m3], a hundredth of a millimetre cubed: less is round-off
 
 ASSISTANT_FEEDS = ("ventilation", "row")
+SERVO_PLACES = ("limit_layer", "turning_rows")
 
 # Chosen by counting: 14,915 (default) and 40,698 (fine) hexahedra for the quarter model, whose
 # counterpart in the paper has 37,078; 31,544 for the fine half of the turning part (31,887).
@@ -90,6 +103,76 @@ def servo_intervals(
     return tuple((c - servo_length / 2, c + servo_length / 2) for c in centres)
 
 
+def _stations(builder: CurlBuilder | TurnBuilder) -> tuple[tuple[float, float], ...]:
+    """Intervals of x [m] of the builder's stations, not yet snapped."""
+    if not builder.servos:
+        return ()
+    intervals = servo_intervals(builder.length, builder.servo_centres, builder.servo_length)
+    if builder.servo_place == "turning_rows" and builder.symmetry != "whole":
+        for (left, _), (_, right) in zip(intervals, reversed(intervals), strict=True):
+            if abs(left + right) > _CLOSE:
+                raise InputError(
+                    f"servo stations in the turning rows must lie symmetric about x = 0 for "
+                    f'symmetry "{builder.symmetry}": move the centres or model the whole body',
+                    "mesh.servo_centres",
+                )
+    return intervals
+
+
+def _check_servo_place(place: str) -> None:
+    if place not in SERVO_PLACES:
+        raise InputError(
+            f"servo_place must be one of {', '.join(SERVO_PLACES)}, got {place!r}",
+            "mesh.servo_place",
+        )
+
+
+def _with_slots(row: UnitRow, builder: CurlBuilder | TurnBuilder, base: float) -> UnitRow:
+    """The row with its turning rows, lowest at z = base, ready to make room for servos."""
+    if not (builder.servos and builder.servo_place == "turning_rows"):
+        return row
+    n = builder.turning
+    p, length, spine = n.pitch / 2, n.outer_length / 2, n.limit_layer / 2
+    joint, far = spine + n.connection_thickness, spine + n.chamber_height + n.top_wall
+    z, z_floor = (base, base + n.network_width), (base, base + _slot_floor(builder))
+    return replace(
+        row,
+        slot_boxes=(
+            Box((0, p), (spine, joint), z, "turn"),
+            Box((0, p), (joint, far), z, air="gap_turn"),
+            Box((0, length), (joint, far), z_floor, "turn"),
+        ),
+        servo_boxes=(Box((0, p), (spine, far), z, "housing"),),
+        slot_length=n.outer_length,
+    )
+
+
+def _slot_floor(builder: CurlBuilder | TurnBuilder) -> float:
+    """Height [m] of what stays of a unit beside a servo: the assistant chambers need a ceiling."""
+    return builder.turning.outer_wall if isinstance(builder, CurlBuilder) else 0.0
+
+
+def _slot_volumes(builder: CurlBuilder | TurnBuilder, sizing: Sizing) -> tuple[float, float]:
+    """What stations add to the bulk (solid and air) and to the air of one turning row [m3].
+
+    Closed form in the stations' snapped ends; the whole body's, whatever part is modelled.
+    """
+    row, n = builder.row(), _built(builder.turning, builder.air_paths)
+    if not row.servo_boxes:
+        return 0.0, 0.0
+    stations = place_stations(row, sizing, _stations(builder))
+    slots, shut = int(stations.slots.sum()), int(stations.shut[1:-1].sum())
+    air = slots * n.chamber_volume + shut * n.air_path**2 * (n.gap + 2 * n.inner_wall)
+    start, stop = np.array(stations.intervals).T[:, :, None]
+    middles = (np.arange(row.unit_count) + 0.5 - row.unit_count / 2) * row.pitch
+    left, right = middles - n.outer_length / 2, middles + n.outer_length / 2
+    inside = np.maximum(np.minimum(stop, right) - np.maximum(start, left), 0.0).sum()
+    length, blocks = (stop - start).sum(), slots * n.outer_length
+    section = n.network_width * (length - blocks) + _slot_floor(builder) * (blocks - inside)
+    beyond = n.chamber_height + n.top_wall - n.connection_thickness
+    return float(beyond * section), -air
+
+
 def _built(row: PneumaticNetwork, air_paths: bool) -> PneumaticNetwork:
     """The row with or without its air path."""
     return row if air_paths else replace(row, air_path=0.0)
@@ -127,11 +210,21 @@ class CurlBuilder:
     symmetry
         "whole", "half" (x >= 0) or "quarter" (x >= 0, y >= 0).
     servos
-        Whether stretches of the limit layer become the cell groups "servo_0", "servo_1", ...
+        Whether servo stations become the cell groups "servo_0", "servo_1", ...
     servo_centres
         Middles of the stations [m], or None for one in the middle and one at each end.
     servo_length
         Length of a station along the body [m]. Its ends snap to the nearest lattice plane.
+    servo_place
+        "limit_layer": a station is a stretch of the limit layer and takes no room. This is the
+        simple picture, and the default until the other is tried against the measurement.
+        "turning_rows": where six standard servos fit (see the module). A station is the whole
+        section of both turning rows and the limit layer between them, one solid that is bonded
+        to the rows below and is the ceiling of the assistant chambers there. A turning unit whose
+        chamber block it would cut or touch goes, chamber and all, but for its connection along
+        the spine and its floor (g high) over an assistant chamber, and the row's air path ends
+        beside it; the chambers left keep one cavity's name. A half or quarter needs stations
+        that lie symmetric in x.
     air_paths
         Whether chambers are joined; without, their air is one cavity by name only and the mesh
         is smaller (the planes of paths and holes cross the whole section).
@@ -149,6 +242,7 @@ class CurlBuilder:
     servos: bool = False
     servo_centres: tuple[float, ...] | None = None
     servo_length: float = 0.045
+    servo_place: str = "limit_layer"
     air_paths: bool = True
     assistant_feed: str = "ventilation"
     main: PneumaticNetwork = MAIN_CURL
@@ -157,6 +251,7 @@ class CurlBuilder:
 
     def __post_init__(self) -> None:
         check_units(self.units)
+        _check_servo_place(self.servo_place)
         if self.assistant_feed not in ASSISTANT_FEEDS:
             raise InputError(
                 f"assistant_feed must be one of {', '.join(ASSISTANT_FEEDS)}, "
@@ -269,16 +364,12 @@ class CurlBuilder:
             (r_top - r.outer_wall, r_top),
             (ceiling, top),
         )
-        return UnitRow(tuple(boxes), (walls_x, walls_y, walls_z), int(self.units))
+        row = UnitRow(tuple(boxes), (walls_x, walls_y, walls_z), int(self.units))
+        return _with_slots(row, self, s_ceiling)
 
     def build(self) -> TaggedMesh:
         """Mesh the part with Gmsh."""
-        servos = (
-            servo_intervals(self.length, self.servo_centres, self.servo_length)
-            if self.servos
-            else ()
-        )
-        sizing = check_size(self.size, _CURL_SIZES)
+        sizing, servos = check_size(self.size, _CURL_SIZES), _stations(self)
         return build_row(self.row(), self.symmetry, sizing, ("limit_layer",), servos).mesh
 
     def expected_volume(self) -> float:
@@ -296,12 +387,16 @@ class CurlBuilder:
         )
         turn = r.network_width * (r.outer_length * out + r.gap * r.connection_thickness)
         air = sum(self._whole_cavities().values())
-        whole = self.units * (main + 2 * assistant + 2 * turn) - air
+        servos = 2 * _slot_volumes(self, check_size(self.size, _CURL_SIZES))[0]
+        whole = self.units * (main + 2 * assistant + 2 * turn) + servos - air
         return whole * symmetry_fraction(self.symmetry)
 
     def _whole_cavities(self) -> dict[str, float]:
         m, s, r = self._rows()
-        main, turn = m.cavity_volume(self.units), r.cavity_volume(self.units)
+        main = m.cavity_volume(self.units)
+        turn = (
+            r.cavity_volume(self.units) + _slot_volumes(self, check_size(self.size, _CURL_SIZES))[1]
+        )
         if self._ventilated:
             # The shared wall is as thick as the assistant's outer wall.
             beside = self.units * (s.chamber_volume + s.air_path**2 * s.outer_wall)
@@ -313,11 +408,18 @@ class CurlBuilder:
                 "cavity_assistant_left": beside,
                 "cavity_assistant_right": beside,
             }
-        return {**rows, "cavity_turn_left": turn, "cavity_turn_right": turn}
+        return {**rows, **_turn_cavities(turn)}
 
     def expected_cavity_volumes(self) -> dict[str, float]:
         """Closed-form air volume of each modelled cavity [m3]."""
         return _modelled(self._whole_cavities(), self.symmetry)
+
+
+def _turn_cavities(volume: float) -> dict[str, float]:
+    """Both turning rows' cavities by name, none if servos have taken every chamber."""
+    if volume < _NO_AIR:
+        return {}
+    return {"cavity_turn_left": volume, "cavity_turn_right": volume}
 
 
 def _modelled(whole: dict[str, float], symmetry: str) -> dict[str, float]:
@@ -364,8 +466,9 @@ class TurnBuilder:
         "coarse", "default", "fine" or the longest element edge [m].
     symmetry
         "whole" or "half" (x >= 0).
-    servos, servo_centres, servo_length
-        As in `CurlBuilder`, over the full section of the spine.
+    servos, servo_centres, servo_length, servo_place
+        As in `CurlBuilder`, over the full section of the spine; no floor stays of a unit in the
+        way of a servo, for no chambers lie below.
     air_paths
         Whether the chambers of a row are joined.
     spine_height
@@ -380,12 +483,14 @@ class TurnBuilder:
     servos: bool = False
     servo_centres: tuple[float, ...] | None = None
     servo_length: float = 0.045
+    servo_place: str = "limit_layer"
     air_paths: bool = True
     spine_height: float | None = None
     turning: PneumaticNetwork = TURNING
 
     def __post_init__(self) -> None:
         check_units(self.units)
+        _check_servo_place(self.servo_place)
         if self.symmetry == "quarter":
             raise InputError(
                 "symmetry must be whole or half: one side is inflated, so the turning part is "
@@ -429,16 +534,12 @@ class TurnBuilder:
         )
         b, g = r.network_width, r.outer_wall
         walls_x = ((r.chamber_length / 2, r.outer_length / 2),)
-        return UnitRow(tuple(boxes), (walls_x, walls_y, ((0.0, g), (b - g, b))), int(self.units))
+        walls = (walls_x, walls_y, ((0.0, g), (b - g, b)))
+        return _with_slots(UnitRow(tuple(boxes), walls, int(self.units)), self, 0.0)
 
     def build(self) -> TaggedMesh:
         """Mesh the part with Gmsh."""
-        servos = (
-            servo_intervals(self.length, self.servo_centres, self.servo_length)
-            if self.servos
-            else ()
-        )
-        sizing = check_size(self.size, _TURN_SIZES)
+        sizing, servos = check_size(self.size, _TURN_SIZES), _stations(self)
         return build_row(self.row(), self.symmetry, sizing, ("limit_layer",), servos).mesh
 
     def expected_volume(self) -> float:
@@ -448,11 +549,12 @@ class TurnBuilder:
         unit = r.pitch * r.limit_layer * self._spine + 2 * r.network_width * (
             r.outer_length * out + r.gap * r.connection_thickness
         )
-        whole = self.units * unit - 2 * r.cavity_volume(self.units)
+        servos, less_air = _slot_volumes(self, check_size(self.size, _TURN_SIZES))
+        whole = self.units * unit + 2 * (servos - less_air - r.cavity_volume(self.units))
         return whole * symmetry_fraction(self.symmetry)
 
     def expected_cavity_volumes(self) -> dict[str, float]:
         """Closed-form air volume of each modelled cavity [m3]."""
-        volume = _built(self.turning, self.air_paths).cavity_volume(self.units)
-        whole = {"cavity_turn_left": volume, "cavity_turn_right": volume}
-        return _modelled(whole, self.symmetry)
+        less_air = _slot_volumes(self, check_size(self.size, _TURN_SIZES))[1]
+        volume = _built(self.turning, self.air_paths).cavity_volume(self.units) + less_air
+        return _modelled(_turn_cavities(volume), self.symmetry)

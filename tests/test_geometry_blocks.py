@@ -8,6 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+from flexapod.app.assemble import make_builder
+from flexapod.app.case import MeshSpec
 from flexapod.core.errors import InputError
 from flexapod.geometry.blocks import Sizing, build_row, subdivide
 from flexapod.geometry.builders import BUILDERS
@@ -25,6 +27,7 @@ from flexapod.geometry.tagged import TaggedMesh, boundary_facets, orient_outward
 
 ROUND_OFF = 1e-12  # measured 1e-15 relative for volumes of 1e-4 m3
 
+IN_ROWS = {"servos": True, "servo_length": 0.030, "servo_place": "turning_rows"}
 BUILDS = {
     "pneunet whole": PneunetBuilder(units=3),
     "pneunet half, odd": PneunetBuilder(units=3, symmetry="half"),
@@ -42,6 +45,17 @@ BUILDS = {
     "turn whole": TurnBuilder(units=3, symmetry="whole"),
     "turn half": TurnBuilder(units=4),
     "turn low spine": TurnBuilder(units=4, spine_height=0.015),
+    "curl whole, servos in rows": CurlBuilder(units=9, size="coarse", symmetry="whole", **IN_ROWS,
+                                              servo_centres=(-0.04, 0.03)),
+    "curl half, servos in rows": CurlBuilder(units=9, size="coarse", symmetry="half", **IN_ROWS),
+    "curl quarter, servos in rows": CurlBuilder(units=10, **IN_ROWS),
+    "curl quarter, servos in rows, no paths": CurlBuilder(units=10, air_paths=False, **IN_ROWS),
+    "turn whole, servos in rows": TurnBuilder(units=8, size="coarse", symmetry="whole", **IN_ROWS),
+    "turn half, servos in rows": TurnBuilder(units=9, spine_height=0.015, **IN_ROWS),
+    # In mid gap, and in no chamber's way.
+    "curl whole, servo in a gap": CurlBuilder(units=4, size="coarse", symmetry="whole",
+                                              **{**IN_ROWS, "servo_length": 0.003},
+                                              servo_centres=(0.0,)),
 }  # fmt: skip
 
 
@@ -385,6 +399,141 @@ def test_servo_stations() -> None:
     assert half.material_groups == ("silicone", "servo_1", "servo_2")
     turn = TurnBuilder(size="coarse", servos=True).build()
     assert turn.material_groups == ("silicone", "servo_1", "servo_2")
+
+
+ROBOT_SERVOS = {"servos": True, "servo_length": 0.045, "servo_place": "turning_rows"}
+
+
+@pytest.mark.parametrize("builder_class", [CurlBuilder, TurnBuilder])
+def test_servos_in_the_turning_rows(builder_class: type[CurlBuilder] | type[TurnBuilder]) -> None:
+    # In mm: stations end at 23 (22.5 snapped) and 108; the blocks of units are 11 long and 17
+    # apart from 8.5 on. 20..31 and 105..116 are cut, so that 4 of 9 units are left on each side.
+    mesh = builder_class(size="coarse", symmetry="whole", **ROBOT_SERVOS).build()
+    base, high, spine_z = (0.0, 0.023, (0.0, 0.023))
+    if builder_class is CurlBuilder:
+        base, high, spine_z = (0.025, 0.048, (0.029, 0.044))
+    assert mesh.material_groups == ("silicone", "servo_0", "servo_1", "servo_2")
+    volumes = cell_volumes(mesh.nodes, mesh.cells)
+    middle = mesh.nodes[mesh.cells].mean(axis=1)
+    stations = ((-0.153, -0.108), (-0.023, 0.023), (0.108, 0.153))
+    section = 2 * 0.034 * 0.023 + 0.036 * (spine_z[1] - spine_z[0])
+    for number, (start, stop) in enumerate(stations):
+        cells = mesh.cell_groups[f"servo_{number}"]
+        x = mesh.nodes[mesh.cells[cells]].reshape(-1, 3)
+        np.testing.assert_allclose(x.min(axis=0), [start, -0.052, base], atol=1e-12)
+        np.testing.assert_allclose(x.max(axis=0), [stop, 0.052, high], atol=1e-12)
+        assert volumes[cells].sum() == pytest.approx((stop - start) * section, rel=1e-12)
+        spine = cells[np.abs(middle[cells, 1]) < 0.018]
+        assert np.isin(spine, mesh.cell_groups["limit_layer"]).all()
+        assert np.isin(np.setdiff1d(cells, spine), mesh.cell_groups["housing"]).all()
+    for side in ("left", "right"):
+        air = mesh.nodes[mesh.facet_groups[f"cavity_turn_{side}"]].mean(axis=1)
+        # Two runs of four chambers joined by paths: nothing between runs, nothing at a servo.
+        for sign in (-1.0, 1.0):
+            run = sign * air[sign * air[:, 0] > 0.0][:, 0]
+            assert (run.min(), run.max()) == pytest.approx((0.040, 0.096))
+        assert part_count(mesh, f"cavity_turn_{side}") == 2
+    # Outside the stations the connection runs on, and over the assistants the floor.
+    turn = middle[mesh.cell_groups["turn"]]
+    beside = turn[(np.abs(turn[:, 0]) > 0.023) & (np.abs(turn[:, 0]) < 0.037)]
+    beyond = beside[np.abs(beside[:, 1]) > 0.023]
+    if builder_class is CurlBuilder:
+        assert np.abs(beyond[:, 0]).max() < 0.031
+        assert beyond[:, 2].max() < 0.029
+    else:
+        assert len(beyond) == 0
+    assert np.abs(beside[:, 1]).min() > 0.018
+    # The blocks' sides can meet the chambers that are left.
+    faces = mesh.nodes[mesh.facet_groups["chamber_faces_turn"]]
+    normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1]) / 2.0
+    for x, sign in ((-0.108, 1.0), (-0.023, -1.0), (0.023, 1.0), (0.108, -1.0)):
+        here = np.all(np.abs(faces[..., 0] - x) < 1e-9, axis=1)
+        floor = 0.004 if builder_class is CurlBuilder else 0.0
+        free = 2 * 0.029 * (0.023 - floor)  # beside connection and floor
+        assert normal[here].sum(axis=0)[0] * sign == pytest.approx(free)
+    servo = np.concatenate([mesh.cell_groups[f"servo_{n}"] for n in range(3)])
+    orient_outward(mesh.cells[servo], mesh.facet_groups["servo_faces"], "servo_faces")
+    assert area(mesh, "end_spine") == pytest.approx(0.036 * (spine_z[1] - spine_z[0]))
+
+
+def test_servos_in_the_turning_rows_are_the_same_in_every_part() -> None:
+    curl = {
+        s: CurlBuilder(size="coarse", symmetry=s, **ROBOT_SERVOS).build()
+        for s in ("whole", "half", "quarter")
+    }
+    turn = {
+        s: TurnBuilder(size="coarse", symmetry=s, **ROBOT_SERVOS).build() for s in ("whole", "half")
+    }
+    for parts, pieces in ((curl, {"half": 2, "quarter": 4}), (turn, {"half": 2})):
+        whole = parts["whole"]
+        for name, count in pieces.items():
+            part = parts[name]
+            assert part.material_groups == ("silicone", "servo_1", "servo_2")
+            assert len(whole.cells) == count * len(part.cells)
+            for group in ("chamber_faces", "servo_faces", "outer", "underside"):
+                assert area(whole, group) == pytest.approx(count * area(part, group), rel=1e-12)
+            for group in ("servo_1", "turn", "housing", "limit_layer"):
+                assert len(whole.cell_groups[group]) == count * len(part.cell_groups[group])
+            np.testing.assert_allclose(
+                whole.cavity_volume("cavity_turn_right"),
+                2 * part.cavity_volume("cavity_turn_right"),
+                rtol=ROUND_OFF,
+            )
+
+
+def test_mirror_gap_behind_a_servo() -> None:
+    # The station fills the turning rows' gap, up to 3 mm, and opens one beside it, 3 to 20 mm. So
+    # from 0 to 20 mm some row has a gap; the mirror gaps are those of main and assistant rows.
+    builder = CurlBuilder(units=4, size="coarse", symmetry="half", servo_centres=(0.0,),
+                          **{**IN_ROWS, "servo_length": 0.006})  # fmt: skip
+    mesh = builder.build()
+    faces = mesh.nodes[mesh.facet_groups["chamber_faces_symmetry_x"]]
+    assert faces[..., 0].max() == pytest.approx(ASSISTANT_CURL.gap / 2)
+    assert faces[..., 2].max() == pytest.approx(0.024)
+
+
+def test_rows_full_of_servos_have_no_air() -> None:
+    builder = TurnBuilder(units=2, symmetry="whole", **{**IN_ROWS, "servo_length": 0.0339},
+                          servo_centres=(0.0,))  # fmt: skip
+    mesh = builder.build()
+    assert mesh.cavities == ()
+    assert builder.expected_cavity_volumes() == {}
+    assert cell_volumes(mesh.nodes, mesh.cells).sum() == pytest.approx(
+        0.034 * 0.104 * 0.023, rel=1e-12
+    )
+
+
+def test_servo_place_without_servos_changes_nothing() -> None:
+    for builder in (CurlBuilder(units=4), TurnBuilder(units=3, symmetry="whole")):
+        meshes = [
+            dataclasses.replace(builder, servo_place=place).build()
+            for place in ("limit_layer", "turning_rows")
+        ]
+        np.testing.assert_array_equal(meshes[0].nodes, meshes[1].nodes)
+        np.testing.assert_array_equal(meshes[0].cells, meshes[1].cells)
+        assert list(meshes[0].facet_groups) == list(meshes[1].facet_groups)
+        for name, quads in meshes[0].facet_groups.items():
+            np.testing.assert_array_equal(quads, meshes[1].facet_groups[name])
+        assert list(meshes[0].cell_groups) == list(meshes[1].cell_groups)
+
+
+def test_servo_place_in_a_case() -> None:
+    table = {"builder": "turn", "servos": True, "servo_place": "turning_rows"}
+    assert make_builder(MeshSpec(**table), "my.toml").servo_place == "turning_rows"
+    with pytest.raises(
+        InputError, match=r"mesh\.servo_place: .*one of limit_layer, turning_rows.*'attic'"
+    ):
+        make_builder(MeshSpec(**{**table, "servo_place": "attic"}), "my.toml")
+
+
+def test_impossible_servos_in_the_turning_rows() -> None:
+    with pytest.raises(InputError, match="symmetric about x = 0"):
+        TurnBuilder(units=8, servo_centres=(0.0, 0.05), **IN_ROWS).build()
+    with pytest.raises(InputError, match="shorter than an element"):
+        TurnBuilder(
+            units=8, size="coarse", servo_centres=(0.0085,), symmetry="whole",
+            **{**IN_ROWS, "servo_length": 0.001},
+        ).build()  # fmt: skip
 
 
 @pytest.mark.parametrize(
