@@ -299,9 +299,11 @@ def assemble(loaded: LoadedCase, mesh: TaggedMesh) -> Assembly:
         faces = surface_faces(mesh, pressure.surface, f"{source}: pressure.{pressure.name}.surface")
         faces = np.ascontiguousarray(faces, dtype=np.int64)
         loads.append(fem_loads.CavityPressure(pressure.name, faces, pressure.value))
-    problem = StaticProblem(
-        body, _displacements(loaded, mesh), loads, _contacts(loaded, mesh, body)
-    )
+    displacements, contacts = _displacements(loaded, mesh), _contacts(loaded, mesh, body)
+    try:
+        problem = StaticProblem(body, displacements, loads, contacts)
+    except InputError as error:
+        raise InputError(str(error), source) from None
     return Assembly(mesh, body, problem, _steps(loaded), _options(loaded), node_mass)
 
 
@@ -361,8 +363,9 @@ def _displacements(loaded: LoadedCase, mesh: TaggedMesh) -> list[Displacement]:
     for index, support in enumerate(loaded.case.support):
         where = f"{loaded.source}: support.{index}.surface"
         nodes = np.unique(surface_faces(mesh, support.surface, where))
+        name = f"support of {', '.join(support.surface)}"
         for direction in support.directions:
-            conditions.append(Displacement("support", nodes, "xyz".index(direction)))
+            conditions.append(Displacement(name, nodes, "xyz".index(direction)))
     for moved in loaded.case.displacement:
         where = f"{loaded.source}: displacement.{moved.name}.surface"
         nodes = np.unique(surface_faces(mesh, moved.surface, where))

@@ -16,12 +16,30 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 from flexapod.app.fit import fit_command
 from flexapod.core.errors import InputError, SolverError, Status
 
+
+class _Stopped(Exception):
+    """Ctrl-C on its way out of a command.
+
+    Typer turns a KeyboardInterrupt into an exit of its own, without the JSON object.
+    """
+
+
+class _Commands(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise _Stopped from None
+
+
 app = typer.Typer(
     name="flexapod",
+    cls=_Commands,
     help="Finite elements for soft robots: fit a silicone, mesh a pneumatic body, inflate it.",
     epilog="Example: [bold]flexapod run free_curl --out results/free_curl[/bold]",
     no_args_is_help=True,
@@ -337,6 +355,8 @@ def _call(command: Any, arguments: list[str]) -> int:
     try:
         # Not standalone: exceptions of ours reach `_guarded`, and exits come back as numbers.
         code = command.main(args=arguments, prog_name="flexapod", standalone_mode=False)
+    except _Stopped:
+        raise KeyboardInterrupt from None
     except Exception as error:
         # Usage errors of the parser know how to show themselves (typer carries its own copy of
         # click in some versions, so they are told by what they can do and not by their class).

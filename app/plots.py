@@ -80,6 +80,17 @@ def read_results(folder: Path) -> Results:
     return Results(folder, case, summary, columns, tuple(folder / name for name in names))
 
 
+def cut_short(results: Results) -> bool:
+    """Whether the run ended before its last load.
+
+    A run that was stopped while its pictures were drawn is "interrupted", but has every state.
+    """
+    if results.summary.get("status", "done") == "done":
+        return False
+    steps = results.columns.get("step", np.zeros(0))
+    return not (steps.size and steps[-1] >= len(results.case.get("step", ())))
+
+
 # --------------------------------------------------------------------------- shapes
 
 
@@ -382,9 +393,8 @@ def plot_curve(results: Results, path: Path) -> None:
             lines.append(f"over {reached} points")
     if reference.get("simulation_error") is not None:
         lines.append(f"{reference['simulation_name']}: {100 * reference['simulation_error']:.1f} %")
-    status = results.summary.get("status", "done")
-    if status != "done":
-        lines.append(f"run ended: {status.replace('_', ' ')}")
+    if cut_short(results):
+        lines.append(f"run ended: {results.summary['status'].replace('_', ' ')}")
     if lines:
         axes.text(
             0.98, 0.03, "\n".join(lines), transform=axes.transAxes, ha="right", va="bottom",

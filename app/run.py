@@ -71,21 +71,26 @@ def stdout_to_stderr() -> Iterator[None]:
 
 @contextmanager
 def _notices(say: Callable[[str], None]) -> Iterator[list[str]]:
-    """Turn Python warnings into notices, each once."""
+    """Turn Python warnings into notices as they come, each once; yields those heard so far."""
     heard: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        yield heard
-    for warning in caught:
-        text = str(warning.message)
-        if issubclass(warning.category, UserWarning) and text not in heard:
+    show_others = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if not issubclass(category, UserWarning):
+            show_others(message, category, *where, **more)
+        elif (text := str(message)) not in heard:
             heard.append(text)
             say(text)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield heard
 
 
 @contextmanager
 def _terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM (timeout, a cluster's queue) end a path as Ctrl-C does: with its files whole.
+    """Let SIGTERM (timeout, a cluster's queue) end a run as Ctrl-C does: with its files whole.
 
     Entered after the mesh is built, because Gmsh puts the signal's default action back.
     """
@@ -312,8 +317,8 @@ def run_case(
     progress, say
         Called with each accepted state, and with each notice.
     """
-    with stdout_to_stderr():
-        return _run(loaded, out, resume, progress, say)
+    with stdout_to_stderr(), _notices(say) as notices:
+        return _run(loaded, out, resume, progress, say, notices)
 
 
 def _run(
@@ -322,6 +327,7 @@ def _run(
     resume: bool,
     progress: Callable[[Progress], None],
     say: Callable[[str], None],
+    notices: list[str],
 ) -> RunResult:
     from flexapod.fem.static import solve_path
 
@@ -333,9 +339,8 @@ def _run(
         file = loaded.path(reference.file) if reference.file is not None else None
         measured = reference_values(reference, file)
     folder = ResultsFolder.open(out, resolve(loaded, None), resume=resume)
-    with _notices(say) as notices:
-        mesh = build_mesh(loaded)
-        parts = assemble(loaded, mesh)
+    mesh = build_mesh(loaded)
+    parts = assemble(loaded, mesh)
     recorder = _Recorder(loaded, parts, folder, progress)
     if reference is not None:
         _check_columns(loaded, recorder)
@@ -372,20 +377,31 @@ def _run(
         "folder": str(out),
     }
     folder.write_summary(summary)
+    status, message = result.status, result.message
+    plot_notices: list[str] = []
     try:
         from flexapod.app.plots import draw_all
 
-        _, plot_notices = draw_all(out)
+        with _terminated_like_interrupted():
+            _, plot_notices = draw_all(out)
     except Exception as error:
         # The numbers are safe on disk; a picture that fails must not turn success into failure.
         plot_notices = [f"pictures could not be drawn: {type(error).__name__}: {error}"]
+    except KeyboardInterrupt:
+        reason = "" if status is Status.DONE else f"{message}; then "
+        status = Status.INTERRUPTED
+        message = (
+            f"{reason}stopped by the user while the pictures were drawn; every number is kept, "
+            f"and 'flexapod plot {out}' draws them"
+        )
     for text in plot_notices:
         say(text)
+    summary["status"], summary["message"] = status.name.lower(), message
     summary["warnings"] = [*notices, *plot_notices]
     summary["wall_time_s"] = time.perf_counter() - began
     summary["peak_memory_bytes"] = peak_memory()
     folder.write_summary(summary)
-    return RunResult(result.status, result.message, out, summary)
+    return RunResult(status, message, out, summary)
 
 
 def _check_columns(loaded: LoadedCase, recorder: _Recorder) -> None:

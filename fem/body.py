@@ -146,16 +146,23 @@ class SolidBody:
     def _set_quadrature(self) -> None:
         order = skfem_corner_order()
         points, weights = _gauss_points()
+        self._check_shapes(points)
         basis = Basis(self.skfem_mesh, ElementHex1(), quadrature=(points, weights))
         self.weights = np.ascontiguousarray(basis.dx)
         gradients = np.empty((self.cell_count, 8, 8, 3))
         for k, corner in enumerate(order):
             gradients[:, :, corner, :] = basis.basis[k][0].grad.transpose(1, 2, 0)
-        determinant = basis.mapping.detDF(points)
-        flipped = np.flatnonzero((determinant <= 0.0).any(axis=1))
-        if flipped.size:
-            raise InputError(f"cell {flipped[0]} is flipped or flat (negative Jacobian)")
         self.gradients = gradients
+
+    def _check_shapes(self, points: np.ndarray) -> None:
+        """Refuse cells without a positive volume, before scikit-fem stops at them unnamed."""
+        jacobian = self.skfem_mesh.mapping().DF(points).transpose(2, 3, 0, 1)
+        # Flat is judged against the cell's own edges: round-off leaves 1e-16 of their product.
+        box = np.linalg.norm(jacobian, axis=-2).prod(axis=-1)
+        bad = ~(np.linalg.det(jacobian) > 1e-12 * box)
+        if bad.any():
+            cell = int(np.flatnonzero(bad.any(axis=1))[0])
+            raise InputError(f"cell {cell} is flipped or flat (its Jacobian is not positive)")
 
     def _set_adjacency(self) -> None:
         flat = self.cells.ravel()

@@ -121,7 +121,7 @@ def face_node_areas(nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
 class Displacement:
     """Prescribed displacement of some nodes along one axis; zero makes a support.
 
-    Several may be given for a node as long as they agree about its axes.
+    Several may be given for a node and an axis as long as they agree; see `Conditions`.
     """
 
     name: str
@@ -131,22 +131,33 @@ class Displacement:
 
 
 class Conditions:
-    """All prescribed degrees of freedom of a problem."""
+    """All prescribed degrees of freedom of a problem.
+
+    Raises
+    ------
+    InputError
+        A node and axis are held and moved, moved by two names (whose factors differ along the
+        path), or given two values by one name. Any number of supports may meet at a node.
+    """
 
     def __init__(self, node_count: int, displacements: Sequence[Displacement]) -> None:
         self.fixed = np.zeros((node_count, 3), dtype=bool)
         self._parts = list(displacements)
-        owner: dict[tuple[int, int], str] = {}
-        for part in self._parts:
-            if part.value != 0.0:
-                for node in part.node_index:
-                    key = (int(node), part.axis)
-                    if owner.setdefault(key, part.name) != part.name:
-                        raise InputError(
-                            f"node {key[0]} is moved along axis {'xyz'[part.axis]} by both "
-                            f"{owner[key]!r} and {part.name!r}"
-                        )
-            self.fixed[part.node_index, part.axis] = True
+        owner = np.zeros((node_count, 3), dtype=int)  # index of the first part, where fixed
+        value = np.zeros((node_count, 3))
+        named = np.array([part.name for part in self._parts], dtype=object)
+        for index, part in enumerate(self._parts):
+            at = (np.asarray(part.node_index, dtype=int), part.axis)
+            other = (value[at] != part.value) | (
+                (part.value != 0.0) & (named[owner[at]] != part.name)
+            )
+            clash = at[0][self.fixed[at] & other]
+            if clash.size:
+                first = self._parts[owner[clash[0], part.axis]]
+                raise InputError(_clash(int(clash[0]), first, part))
+            owner[at] = np.where(self.fixed[at], owner[at], index)
+            value[at] = part.value
+            self.fixed[at] = True
 
     @property
     def names(self) -> list[str]:
@@ -159,6 +170,23 @@ class Conditions:
         for part in self._parts:
             if part.value != 0.0:
                 u[part.node_index, part.axis] = part.value * factors.get(part.name, 0.0)
+
+
+def _clash(node: int, first: Displacement, second: Displacement) -> str:
+    """What is wrong with two displacements of one node along one axis."""
+    axis = "xyz"[first.axis]
+    if first.name == second.name:
+        return (
+            f"node {node} is given two displacements along axis {axis} by {first.name!r}: "
+            f"{first.value:g} m and {second.value:g} m"
+        )
+    if first.value != 0.0 and second.value != 0.0:
+        return f"node {node} is moved along axis {axis} by both {first.name!r} and {second.name!r}"
+    held, moved = (first, second) if first.value == 0.0 else (second, first)
+    return (
+        f"node {node} is held along axis {axis} by {held.name!r} and moved by {moved.name!r}; "
+        "take it out of one of them"
+    )
 
 
 class Cavity:

@@ -110,7 +110,8 @@ class DirectSolver:
     """Factorise a symmetric indefinite matrix given by its upper triangle.
 
     MKL Pardiso (mtype -2) where pypardiso can be had, with the symbolic phase kept while the
-    pattern stays; else SuperLU, said once in a warning.
+    pattern stays; else SuperLU, said once in a warning. Pardiso gives the same bits for any number
+    of threads (on one kind of processor: MKL picks its code by the instructions it finds).
     """
 
     def __init__(self) -> None:
@@ -128,14 +129,16 @@ class DirectSolver:
             )
         else:
             self._pardiso = pypardiso.PyPardisoSolver(mtype=-2)
-            # Two-level numerical factorisation is deterministic only in CNR mode; 34 > 0 asks
-            # for the same bits whatever the thread count.
             self._pardiso.set_iparm(1, 1)
             self._pardiso.set_iparm(2, 2)  # METIS ordering: deterministic
             self._pardiso.set_iparm(8, 2)  # at most two steps of iterative refinement
             self._pardiso.set_iparm(10, 8)  # pivot perturbation 1e-8, for indefinite matrices
             self._pardiso.set_iparm(11, 0)  # no scaling and
             self._pardiso.set_iparm(13, 0)  # no matching: both need values in the symbolic phase
+            # Without this two threads disagree with one, and on small matrices with themselves
+            # from run to run; any value > 0 does (1, 2 and MKL_CBWR=AUTO give the same bits). The
+            # factorisation stays parallel, the solve does not: benchmarks/solver_bits.py.
+            self._pardiso.set_iparm(34, 1)
 
     def factorise(self, matrix: sp.csr_matrix, pattern: object) -> None:
         """Factorise; `pattern` is the object whose identity says the sparsity is unchanged."""

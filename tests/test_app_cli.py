@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from flexapod.app import plots
+from flexapod.app import run as run_module
 from flexapod.app.case import load_case
 from flexapod.app.cli import main
 from flexapod.app.outputs import SUMMARY_FILE
@@ -22,6 +23,11 @@ from flexapod.app.run import Progress, run_case
 from flexapod.core.errors import InputError, Status
 
 # A case small enough to be run several times: the shipped mesh without its block.
+SETTLE = [
+    "step=[{name='settle', loads={gravity=1.0}, outputs=1}]",
+    *("pressure=[]", "force=[]", "traction=[]", "displacement=[]"),
+    "support.1.directions=['x', 'y', 'z']",
+]
 QUICK = ["step.settle.outputs=1", "step.inflate.outputs=4", "step.push.outputs=2"]
 
 
@@ -74,6 +80,11 @@ def test_schema_is_json(capfd: pytest.CaptureFixture[str]) -> None:
         (["run", "own_mesh", "--set", "support.0.surface=rot"], "did you mean root?"),
         (["run", "own_mesh", "--set", "material.1.group=plates"], "did you mean plate?"),
         (["run", "own_mesh", "--set", "material.0.use=jelly"], "jelly"),
+        (
+            ["run", "own_mesh", "--set", "support.1.directions=['x', 'z']"],
+            "own_mesh.toml: node 400 is held along axis z by 'support of block_foot' and moved "
+            "by 'push'",
+        ),
         (["run", "own_mesh", "--set", "mesh.file=gone.vtu"], "mesh.file: no such file"),
         (["mesh", "curl", "--out", "a.stl"], "write a name ending in .msh or .vtu"),
         (["plot", "nowhere"], "no such folder"),
@@ -189,11 +200,8 @@ def test_fields_hold_what_paraview_needs(whole_run: Path) -> None:
 
 
 def test_json_of_a_run_is_pure(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    settings = ["step=[{name='settle', loads={gravity=1.0}, outputs=1}]"]
-    settings += ["pressure=[]", "force=[]", "traction=[]", "displacement=[]"]
-    settings += ["support.1.directions=['x', 'y', 'z']"]
     out = tmp_path / "r"
-    assert _call(["run", "own_mesh", "--out", str(out), "--json", *_sets(settings)]) == 0
+    assert _call(["run", "own_mesh", "--out", str(out), "--json", *_sets(SETTLE)]) == 0
     captured = capfd.readouterr()
     answer = json.loads(captured.out)
     assert answer == json.loads((out / SUMMARY_FILE).read_text())
@@ -229,6 +237,58 @@ def test_an_interrupted_run_resumes_to_the_same_end(whole_run: Path, tmp_path: P
     for head, values in unbroken.items():
         # Round-off only: the path starts again from the very same state and increment.
         np.testing.assert_allclose(resumed[head], values, rtol=1e-6, atol=1e-9, err_msg=head)
+
+
+def _interrupt(*ignored: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_interrupted_before_the_path_there_is_still_one_json_object(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_module, "build_mesh", _interrupt)
+    assert _call(["run", "own_mesh", "--out", str(tmp_path / "r"), "--json"]) == 130
+    assert json.loads(capfd.readouterr().out)["status"] == "interrupted"
+
+
+def test_interrupted_while_drawing_the_numbers_are_kept(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "r"
+    command = ["run", "own_mesh", "--out", str(out), "--json", *_sets(SETTLE)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plots, "plot_snapshots", _interrupt)
+        assert _call(command) == 130
+    captured = capfd.readouterr()
+    answer = json.loads(captured.out)
+    assert answer == json.loads((out / SUMMARY_FILE).read_text())
+    assert answer["status"] == "interrupted"
+    assert "while the pictures were drawn" in answer["message"]
+    assert f"flexapod plot {out}" in captured.err
+    assert answer["results"]["tip_z_mm"] < 0.0
+    assert answer["results"]["states"] == len(_curve(out)["step"]) == 2
+    # All the loads were reached: a curve drawn from the files does not call the run cut short.
+    assert not plots.cut_short(plots.read_results(out))
+    # Going on draws what is missing and computes nothing anew.
+    assert _call([*command, "--resume"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["status"] == "done"
+    assert answer["results"]["increments"] == 0
+    assert (out / "plots" / "final.png").exists()
+
+
+def test_a_failure_interrupted_while_drawing_keeps_its_reason(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plots, "draw_all", _interrupt)
+    settings = [*QUICK, "solver.increments=3", "solver.damped=false"]
+    out = tmp_path / "r"
+    assert _call(["run", "own_mesh", "--out", str(out), "--json", *_sets(settings)]) == 130
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["status"] == "interrupted"
+    assert "increments" in answer["message"]
+    assert "while the pictures were drawn" in answer["message"]
+    assert plots.cut_short(plots.read_results(out))
 
 
 def test_resume_of_another_case_is_refused(whole_run: Path, tmp_path: Path) -> None:

@@ -30,19 +30,45 @@ def test_conditions_refuse_two_movements_of_one_node() -> None:
     Conditions(5, [left, Displacement("right", np.array([3]), 0, 2e-3)])
 
 
-@pytest.mark.xfail(reason="a support is overruled in silence by a movement of the same node")
-def test_conditions_refuse_a_support_that_is_also_moved() -> None:
-    hold = Displacement("hold", np.array([3]), 1)
-    pull = Displacement("pull", np.array([3]), 1, 1e-3)
-    with pytest.raises(InputError, match="node 3"):
-        Conditions(5, [hold, pull])
+@pytest.mark.parametrize("first", ["hold", "pull"])
+def test_conditions_refuse_a_support_that_is_also_moved(first: str) -> None:
+    parts = [
+        Displacement("hold", np.array([1, 3]), 1),
+        Displacement("pull", np.array([4, 3]), 1, 1e-3),
+    ]
+    message = r"node 3 is held along axis y by 'hold' and moved by 'pull'; take it out of one"
+    with pytest.raises(InputError, match=message):
+        Conditions(5, parts if first == "hold" else parts[::-1])
+    # Held along x and z, moved along y: the common case.
+    Conditions(5, [Displacement("hold", np.array([3]), axis) for axis in (0, 2)] + parts[1:])
 
 
-@pytest.mark.xfail(reason="two parts of one name are never compared: the later one wins")
-def test_conditions_refuse_two_values_under_one_name() -> None:
-    one, two = (Displacement("pull", np.array([3]), 1, v) for v in (1e-3, 2e-3))
-    with pytest.raises(InputError, match="node 3"):
-        Conditions(5, [one, two])
+@pytest.mark.parametrize("other", [2e-3, -1e-3, 0.0])
+def test_conditions_refuse_two_values_under_one_name(other: float) -> None:
+    one, two = (Displacement("pull", np.array([3]), 1, v) for v in (1e-3, other))
+    message = r"node 3 is given two displacements along axis y by 'pull': .*0\.001 m"
+    for parts in ([one, two], [two, one]):
+        with pytest.raises(InputError, match=message):
+            Conditions(5, parts)
+
+
+def test_conditions_accept_parts_that_agree() -> None:
+    # Planes of symmetry that meet in an edge, a support on a movement of zero, and two surfaces
+    # of one movement that share a node: each dof has one value, whatever the order.
+    parts = [
+        Displacement("symmetry x", np.array([0, 1, 2]), 0),
+        Displacement("all round", np.array([2, 3]), 0),
+        Displacement("still", np.array([1]), 0, 0.0),
+        Displacement("pull", np.array([0, 1]), 1, 1e-3),
+        Displacement("pull", np.array([1, 2]), 1, 1e-3),
+    ]
+    for order in (parts, parts[::-1]):
+        conditions = Conditions(5, order)
+        assert conditions.names == ["pull"]
+        u = np.full((5, 3), 9.0)
+        conditions.apply(u, {"pull": 0.5})
+        np.testing.assert_array_equal(u[:, 0], [0.0, 0.0, 0.0, 0.0, 9.0])
+        np.testing.assert_array_equal(u[:, 1], [5e-4, 5e-4, 5e-4, 9.0, 9.0])
 
 
 def test_conditions_apply_factors_and_leave_the_rest() -> None:

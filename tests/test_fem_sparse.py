@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -135,6 +138,56 @@ def test_superlu_names_a_singular_matrix(body: SolidBody, monkeypatch: pytest.Mo
     pattern = BlockPattern(body.cells, body.node_count)
     with pytest.raises(SolverError, match="singular"):
         solver.factorise(pattern.matrix(np.zeros(3 * body.node_count, dtype=bool)), pattern)
+
+
+# Run in a process of its own: MKL reads its thread count once. Three factorisations each, as two
+# threads did not even agree with themselves.
+BITS = """
+import sys
+sys.path[:0] = sys.argv[1:]
+import hashlib
+import numpy as np
+from statics_helpers import distorted, solid
+from flexapod.fem.sparse import BlockPattern, DirectSolver
+from flexapod.materials.neo_hooke import NeoHooke
+
+body = solid(distorted((6, 6, 6)), NeoHooke(1e5))
+pattern = BlockPattern(body.cells, body.node_count)
+u = np.zeros_like(body.nodes)
+pattern.gather(body, body.element_tangents(u, body.predict_pressure(u, u)))
+fixed = np.repeat(np.isclose(body.nodes[:, 2], 0.0), 3)
+b = np.where(fixed, 0.0, np.random.default_rng(3).standard_normal(fixed.size))
+matrix = pattern.matrix(fixed)
+print(hashlib.sha256(matrix.data.tobytes()).hexdigest())
+for _ in range(3):
+    solver = DirectSolver()
+    solver.factorise(matrix, pattern)
+    print(hashlib.sha256(solver.solve(b).tobytes()).hexdigest())
+    solver.close()
+"""
+
+
+def test_pardiso_gives_the_same_bits_for_any_thread_count() -> None:
+    pytest.importorskip("pypardiso")
+    helpers = str(Path(__file__).parent / "verification" / "helpers")
+    matrices, solutions = set(), set()
+    for threads in ("1", "2"):
+        # Two threads even where MKL sees one processor; no wish of the user's to repeat itself.
+        environment = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
+        environment |= {"MKL_NUM_THREADS": threads, "MKL_DYNAMIC": "FALSE"}
+        done = subprocess.run(
+            [sys.executable, "-c", BITS, helpers],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        matrix, *digests = done.stdout.split()
+        assert len(digests) == 3
+        matrices.add(matrix)
+        solutions.update(digests)
+    assert len(matrices) == 1
+    assert len(solutions) == 1
 
 
 def test_negative_pivots_count_unstable_directions(body: SolidBody) -> None:

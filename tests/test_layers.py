@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -103,6 +105,20 @@ def test_third_parties_stay_on_their_floor(floor: str, name: str, tree: ast.Modu
 def test_heavy_imports_are_inside_functions(floor: str, name: str, tree: ast.Module) -> None:
     heavy = {imported.split(".")[0] for imported in _top_level_imports(tree)} & INSIDE_FUNCTIONS
     assert not heavy, f"{name} imports {heavy} when it is loaded"
+
+
+def test_the_bench_extra_holds_what_benchmarks_tell_to_install() -> None:
+    root = Path(__file__).parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extra = {re.split(r"[^\w-]", entry)[0] for entry in project["optional-dependencies"]["bench"]}
+    asked = {
+        word
+        for path in (root / "benchmarks").glob("*.py")
+        for words in re.findall(r"pip install ([\w -]+)", path.read_text(encoding="utf-8"))
+        for word in words.split()
+    }
+    assert asked
+    assert asked <= extra
 
 
 def _loaded_after(code: str) -> set[str]:
