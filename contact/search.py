@@ -10,6 +10,10 @@ from flexapod.contact import kernels
 CANDIDATE_COUNT = 12
 # Faces whose normals open wider than this (cosine) do not face each other.
 FACING_COSINE = -0.7
+# Self-contact: faces nearer at rest than this many diagonals, and not face to face there, are the
+# two sides of a crease or of one wall. How a crease closes within an element or two no mesh
+# resolves, and a point that slips round its corner finds the other side deep behind it.
+CREASE = 2.5
 
 
 def candidate_faces(
@@ -59,17 +63,30 @@ def candidate_faces(
     shared = (masters[index][:, :, :, None] == slaves[:, None, None, :]).any(axis=(2, 3))
     valid &= ~shared
     if reference is not None:
-        slave_rest, _ = _frames(reference, slaves)
+        slave_rest, slave_rest_normal = _frames(reference, slaves)
         master_rest, master_rest_normal = _frames(reference, masters)
         apart = np.einsum(
             "ski,ski->sk", slave_rest[:, None] - master_rest[index], master_rest_normal[index]
         )
         valid &= np.abs(apart) > joint_gap
+        facing = np.einsum("ski,si->sk", master_rest_normal[index], slave_rest_normal)
+        opposite = (facing < FACING_COSINE) & (apart > 0.0)  # and not back to back on one wall
+        slave_size, master_size = _diagonals(reference, slaves), _diagonals(reference, masters)
+        size = np.maximum(slave_size[:, None], master_size[index])
+        far = np.linalg.norm(slave_rest[:, None] - master_rest[index], axis=2) > CREASE * size
+        valid &= opposite | far
     # Stable partition: valid ones first, in order of distance.
     order = np.argsort(~valid, axis=1, kind="stable")[:, :CANDIDATE_COUNT]
     picked = np.take_along_axis(np.where(valid, found, -1), order, axis=1)
     out[:, : picked.shape[1]] = picked
     return out
+
+
+def _diagonals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Longer diagonal of each face [m]."""
+    first = np.linalg.norm(x[faces[:, 2]] - x[faces[:, 0]], axis=1)
+    second = np.linalg.norm(x[faces[:, 3]] - x[faces[:, 1]], axis=1)
+    return np.asarray(np.maximum(first, second))
 
 
 def _frames(x: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

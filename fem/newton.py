@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -33,12 +33,41 @@ class NewtonOptions:
         Halvings at most of one correction.
     """
 
-    residual_tolerance: float = 1e-4
+    residual_tolerance: float = 1e-3
     increment_tolerance: float = 1e-5
-    max_iterations: int = 20
+    max_iterations: int = 16
     divergence: float = 1e4
-    patience: int = 10
+    patience: int = 7
     line_search_steps: int = 5
+
+
+@dataclass(frozen=True)
+class CreepOptions:
+    """How the damped path walks to the next stable equilibrium.
+
+    Attributes
+    ----------
+    first
+        Strength of the bath at the start; at one it is as stiff as the softest material.
+    thin
+        Strength below which the bath no longer shows.
+    thickest
+        Strength at which the path gives up.
+    max_steps
+        After which the path has failed.
+    largest_move
+        Of a node in one step over the body's size: a step that moves far may carry one wall
+        through another unseen.
+    search_after
+        Move of a node over the body's size after which contact searches again.
+    """
+
+    first: float = 1e-2
+    thin: float = 1e-4
+    thickest: float = 1e4
+    max_steps: int = 400
+    largest_move: float = 0.02
+    search_after: float = 2e-3
 
 
 @dataclass(frozen=True)
@@ -90,13 +119,10 @@ def newton(
     factors: Mapping[str, float],
     options: NewtonOptions,
     body_size: float,
-    damping: np.ndarray | None = None,
-    anchor: np.ndarray | None = None,
 ) -> tuple[np.ndarray, NewtonReport, Status | None]:
     """Solve for equilibrium at fixed load factors from `guess`.
 
-    `damping` [N/m] per node pulls every node to `anchor` (the damped path). Returns the last
-    displacements, a report and None, or the reason of failure.
+    Returns the last displacements, a report and None, or the reason of failure.
 
     The line search works on the slope along the correction, ``du . R``, with the residual of
     the mixed form (its pressure taken linearly along the step, so that the second-order change
@@ -111,17 +137,11 @@ def newton(
     problem.search(u)
     residuals: list[float] = []
 
-    def evaluate(v: np.ndarray) -> tuple[np.ndarray, float]:
-        r, energy = problem.residual(v, factors)
-        if damping is not None:
-            r += damping[:, None] * (v - anchor)
-        return r, energy
-
     def report(count: int) -> NewtonReport:
         last = residuals[-1] if residuals else np.inf
         return NewtonReport(count, last, tuple(residuals), solver.negative_pivots)
 
-    r, energy = evaluate(u)
+    r, energy = problem.residual(u, factors)
     if not np.isfinite(energy):
         # Moving supports alone can flip the elements next to them: the caller cuts back.
         return u, report(0), Status.INVERTED_ELEMENT
@@ -147,8 +167,6 @@ def newton(
         if iteration == options.max_iterations:
             break
         pattern = problem.tangent(u, factors)
-        if damping is not None:
-            pattern.add_diagonal(damping)
         rhs = np.where(fixed, 0.0, -r)
         try:
             solver.factorise(pattern.matrix(flat_fixed), pattern)
@@ -165,7 +183,7 @@ def newton(
         length = 1.0
         for trial in range(options.line_search_steps + 1):
             candidate = u + length * du
-            r_new, energy = evaluate(candidate)
+            r_new, energy = problem.residual(candidate, factors)
             if not np.isfinite(energy):
                 if trial == options.line_search_steps:
                     return u, report(iteration), Status.INVERTED_ELEMENT
@@ -184,3 +202,134 @@ def newton(
         r = r_new
         correction = length * float(np.abs(du).max())
     return u, report(options.max_iterations), Status.NOT_CONVERGED
+
+
+def creep(
+    problem: Equations,
+    solver: DirectSolver,
+    start: np.ndarray,
+    factors: Mapping[str, float],
+    options: NewtonOptions,
+    creeping: CreepOptions,
+    body_size: float,
+    bath: np.ndarray,
+    say: Callable[[str], None],
+) -> tuple[np.ndarray, NewtonReport, float, Status | None]:
+    """Let the body creep to a stable equilibrium at held loads, in a bath as thick as it needs.
+
+    One linearly implicit step of ``bath u' = -residual`` after another (pseudo-transient
+    continuation; Kelley & Keyes 1998, doi:10.1137/S0036142996304796). The bath thickens until
+    the matrix is positive definite, so that every step leads down, away from saddle points, and
+    thins with the residual, so that the last steps are Newton's. Unlike Newton's method it
+    needs no balance on the way: a wall that buckles or touches takes more steps, that is all.
+
+    Parameters
+    ----------
+    bath
+        Nodal stiffness [N/m] of a bath of strength one, shape (node_count,).
+
+    Returns
+    -------
+    Displacements, report, work spent in the bath [J] and None or the reason of failure.
+    """
+    free = ~problem.conditions.fixed
+    flat_fixed = problem.conditions.fixed.ravel()
+    u = start.copy()
+    problem.conditions.apply(u, dict(factors))
+    problem.search(u)
+    strength, work = creeping.first, 0.0
+    residuals: list[float] = []
+    status = Status.NOT_CONVERGED
+    cap = creeping.largest_move * body_size
+    r, energy = problem.residual(u, factors)
+    if not np.isfinite(energy):
+        return u, NewtonReport(0, np.inf, (), 0), work, Status.INVERTED_ELEMENT
+    settled = False
+    unstable, firm_until, landing = 0.0, 0, 3
+    for count in range(creeping.max_steps):
+        scale = max(problem.force_scale(factors, r), 1e-12)
+        error = float(np.abs(r[free]).max(initial=0.0)) / scale
+        norm = float(np.linalg.norm(r[free]))
+        residuals.append(error)
+        if settled and error < options.residual_tolerance and strength < creeping.thin:
+            report = NewtonReport(count, error, tuple(residuals), solver.negative_pivots)
+            return u, report, work, None
+        if error < options.residual_tolerance and count >= landing:
+            # Near balance, where contact points that flicker keep the bath thick, Newton lands.
+            landing = count + 6
+            pressure = problem.pressure
+            v, report, bad = newton(problem, solver, u, factors, options, body_size)
+            if bad is None and report.negative_pivots == 0:
+                return v, replace(report, iterations=count + report.iterations), work, None
+            problem.pressure = pressure
+        pattern = problem.tangent(u, factors)
+        rhs = np.where(problem.conditions.fixed, 0.0, -r).ravel()
+        added = 0.0
+        try:
+            while True:
+                pattern.add_diagonal((strength - added) * bath)
+                added = strength
+                solver.factorise(pattern.matrix(flat_fixed), pattern)
+                if solver.negative_pivots == 0:
+                    break
+                if strength > creeping.thickest:
+                    return u, NewtonReport(count, error, tuple(residuals), 1), work, status
+                unstable, firm_until = strength, count + 4
+                strength = max(4.0 * strength, 1e-4)
+        except SolverError as error_:
+            return u, NewtonReport(count, error, tuple(residuals), 0), work, error_.status
+        du = solver.solve(rhs).reshape(u.shape)
+        old = problem.pressure
+        if old is None:
+            old = problem.predict_pressure(u, np.zeros_like(u))
+        new = problem.predict_pressure(u, du)
+        size = float(np.abs(du).max())
+        slope = float((du * (r + problem.pressure_error_force(u, old)))[free].sum())
+        length = min(1.0, cap / size)
+        capped = length < 1.0
+        for trial in range(8):
+            candidate = u + length * du
+            r_new, energy = problem.residual(candidate, factors)
+            if np.isfinite(energy):
+                pressure = old + length * (new - old)
+                mixed = r_new + problem.pressure_error_force(candidate, pressure)
+                new_slope = float((du * mixed)[free].sum())
+                if new_slope < -0.5 * slope or trial == 7:
+                    break
+            elif trial == 7:
+                status = Status.INVERTED_ELEMENT
+                break
+            length *= 0.5
+        if not np.isfinite(energy):
+            strength = max(8.0 * strength, 1e-3)
+            if strength > creeping.thickest:
+                return u, NewtonReport(count, error, tuple(residuals), 0), work, status
+            continue
+        step = length * du
+        work += float((strength * bath[:, None] * step * step).sum())
+        u, r, problem.pressure = candidate, r_new, pressure
+        moved = length * size
+        problem_moved = moved > creeping.search_after * body_size
+        if problem_moved:
+            problem.search(u)
+            r, _ = problem.residual(u, factors)
+        ratio = float(np.linalg.norm(r[free])) / max(norm, 1e-300)
+        settled = moved < options.increment_tolerance * body_size
+        before = strength
+        if trial > 0:
+            strength *= 2.0
+        elif not capped:
+            # Thin the bath with the residual, and also where the step hardly changed the slope
+            # it went down: it was the bath that stopped it.
+            thinner = min(max(ratio, 0.2), 2.0) if ratio > 1.2 else min(max(ratio, 0.2), 1.0)
+            strength *= min(thinner, 0.4) if new_slope < 0.6 * slope else thinner
+        if count < firm_until:
+            strength = max(strength, 1.5 * unstable)
+        strength = max(strength, creeping.thin * 0.01)
+        if count % 5 == 0:
+            say(
+                f"creep {count}: bath {before:.1e}, residual {error:.1e}, move {moved * 1e3:.3f} mm"
+                f" trials {trial} slope {new_slope / slope:.2f}"
+            )
+    report = NewtonReport(creeping.max_steps, residuals[-1], tuple(residuals), 0)
+    return u, report, work, status

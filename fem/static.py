@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,11 +19,8 @@ from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.fem.body import SolidBody
 from flexapod.fem.contacts import Contact
 from flexapod.fem.loads import Conditions, Displacement, Load
-from flexapod.fem.newton import NewtonOptions, NewtonReport, newton
+from flexapod.fem.newton import CreepOptions, NewtonOptions, NewtonReport, creep, newton
 from flexapod.fem.sparse import BlockPattern, DirectSolver
-
-# Residual over force scale that ends a creep stage.
-CREEP_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class LoadStep:
     factors: Mapping[str, float]
     outputs: int = 1
     first: float = 0.1
-    smallest: float = 8e-3
+    smallest: float = 1.5e-2
     largest: float = 1.0
 
     def __post_init__(self) -> None:
@@ -70,7 +67,7 @@ class PathOptions:
     cut: float = 0.35  # of the increment after a failure
     easy_iterations: int = 9  # at most this many iterations count as easy
     damped: bool = True  # creep past limit points in a viscous bath
-    damped_stages: int = 200  # largest number of creep stages at one load
+    creep: CreepOptions = field(default_factory=CreepOptions)
 
 
 @dataclass
@@ -440,21 +437,10 @@ class _Path:
         self,
         guess: np.ndarray,
         target: dict[str, float],
-        damping: np.ndarray | None = None,
-        anchor: np.ndarray | None = None,
     ) -> tuple[np.ndarray, NewtonReport, Status | None]:
-        options = self.options.newton
-        if damping is not None:
-            # On its way the creeping body need not be in balance to the last digit, and a
-            # contact point that flickers must not stop it; where it comes to rest it must.
-            options = replace(
-                options,
-                residual_tolerance=max(options.residual_tolerance, CREEP_TOLERANCE),
-                increment_tolerance=max(options.increment_tolerance, 0.1 * CREEP_TOLERANCE),
-            )
         pressure = self.problem.pressure
         u, report, failure = newton(
-            self.problem, self.solver, guess, target, options, self.body_size, damping, anchor
+            self.problem, self.solver, guess, target, self.options.newton, self.body_size
         )
         self.stats.iterations += report.iterations
         if failure is not None:
@@ -467,38 +453,23 @@ class _Path:
         soft = min(m.law.shear_modulus for m in body.materials)
         # At strength one, the bath is as stiff as the softest material over a cell's width.
         width = np.cbrt(body.cell_volume.mean())
-        unit = soft / width**2 * body.node_volume
-        u = self.state.u.copy()
-        strength, work = 0.02, 0.0
-        tried = 0
-        for stage in range(self.options.damped_stages):
-            new, report, bad = self._newton(u, target, strength * unit, u)
-            if bad is not None:
-                strength *= 8.0
-                if strength > 1e4:
-                    break
-                continue
-            move = new - u
-            work += float((strength * unit[:, None] * move * move).sum())
-            u = new
-            self.say(f"creep {stage}: bath {strength:.1e}, move {np.abs(move).max():.1e} m")
-            easy = report.iterations <= self.options.easy_iterations
-            # A stage that moves far may carry one wall through another unseen.
-            if np.abs(move).max() > 0.03 * self.body_size:
-                strength *= 1.5
-            else:
-                strength *= 0.3 if easy else 0.7
-            # Free of the bath, Newton lands once the body creeps slowly under a thin bath.
-            slow = np.abs(move).max() < 2e-3 * self.body_size
-            if slow and strength < 1e-3 and stage >= tried:
-                tried = stage + 3
-                final, report, bad = self._newton(u, target)
-                if bad is None:
-                    self.state.damped_work += work
-                    return final, report
-                self.problem.pressure = None
+        u, report, work, bad = creep(
+            self.problem,
+            self.solver,
+            self.state.u,
+            target,
+            self.options.newton,
+            self.options.creep,
+            self.body_size,
+            soft / width**2 * body.node_volume,
+            self.say,
+        )
+        self.stats.iterations += report.iterations
+        self.state.damped_work += work
+        if bad is None:
+            return u, report
         raise SolverError(
             Status.STEP_TOO_SMALL,
             f"stopped at {self._place()}: {failure.value}, and the damped path found no "
-            "equilibrium either",
+            f"equilibrium either ({bad.value})",
         )
