@@ -261,6 +261,51 @@ def find_partners(
                     fade[f, first + k] /= total
 
 
+@parallel_kernel
+def project_on_partners(
+    x: Any, slaves: Any, points: Any, masters: Any, partner: Any, local: Any, gap: Any
+) -> None:
+    """Refresh `local` and `gap` of points on the partners they have; see `find_partners`.
+
+    A point may slide over its partner's rim, on the face's continuation.
+    """
+    slots = partner.shape[1] // points.shape[0]
+    for f in numba.prange(slaves.shape[0]):
+        n = np.empty(4)
+        d = np.empty((4, 2))
+        t = np.empty((2, 3))
+        twist = np.empty(3)
+        p = np.empty(3)
+        normal = np.empty(3)
+        for slot in range(partner.shape[1]):
+            m = partner[f, slot]
+            if m < 0:
+                continue
+            q = slot // slots
+            shape(points[q, 0], points[q, 1], n)
+            for i in range(3):
+                p[i] = 0.0
+                for a in range(4):
+                    p[i] += n[a] * x[slaves[f, a], i]
+            xi, eta = _project(x, masters[m], p, n, d, t, twist)
+            shape(xi, eta, n)
+            shape_derivatives(xi, eta, d)
+            _tangents(x, masters[m], d, t)
+            normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
+            normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
+            normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
+            size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+            g = 0.0
+            for i in range(3):
+                r = p[i]
+                for a in range(4):
+                    r -= n[a] * x[masters[m, a], i]
+                g += r * normal[i] / size
+            gap[f, slot] = g
+            local[f, slot, 0] = xi
+            local[f, slot, 1] = eta
+
+
 @kernel
 def pair_contact(
     x: Any,

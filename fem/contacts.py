@@ -101,6 +101,7 @@ class FaceContact:
         self.law = law
         self.depth = depth
         self.margin = margin
+        self.frozen = False  # points keep their partners and shares, see `StaticProblem.freeze`
         surface = np.ascontiguousarray(surface, dtype=np.int64)
         partner = np.ascontiguousarray(partner, dtype=np.int64)
         same = surface.shape == partner.shape and bool((surface == partner).all())
@@ -116,6 +117,8 @@ class FaceContact:
 
     def update(self, x: np.ndarray) -> None:
         """See `Contact`."""
+        if self.frozen:
+            return
         for p in self._passes:
             p.search(x, self.depth, self.margin)
 
@@ -136,19 +139,24 @@ class FaceContact:
     def _evaluate(
         self, p: _Pass, x: np.ndarray, residual: np.ndarray, tangent: bool
     ) -> tuple[float, int]:
-        kernels.find_partners(
-            x,
-            p.slaves,
-            kernels.POINTS,
-            p.masters,
-            p.candidates,
-            self.depth,
-            self.margin,
-            p.partner,
-            p.local,
-            p.gap,
-            p.fade,
-        )
+        if self.frozen:
+            kernels.project_on_partners(
+                x, p.slaves, kernels.POINTS, p.masters, p.partner, p.local, p.gap
+            )
+        else:
+            kernels.find_partners(
+                x,
+                p.slaves,
+                kernels.POINTS,
+                p.masters,
+                p.candidates,
+                self.depth,
+                self.margin,
+                p.partner,
+                p.local,
+                p.gap,
+                p.fade,
+            )
         if tangent:
             p.reserve(int((p.gap < 0.0).sum()))
         energy, count = kernels.pair_contact(

@@ -23,6 +23,14 @@ class NewtonOptions:
         Largest free nodal residual over the force scale (largest nodal load or reaction).
     increment_tolerance
         Largest correction of a node over the body's size.
+    near
+        Largest residual over the force scale at which a solution whose contact points flicker
+        may land with their partners held.
+    flicker
+        Largest residual over the force scale that may be left once the partners of a landed
+        solution are free again: the jump of a single point's force as it changes faces.
+    landings
+        How often at most the partners are held, the solution found and the partners freed.
     max_iterations
         After which the increment has failed.
     divergence
@@ -35,6 +43,9 @@ class NewtonOptions:
 
     residual_tolerance: float = 1e-3
     increment_tolerance: float = 1e-5
+    near: float = 2e-2
+    flicker: float = 0.1
+    landings: int = 6
     max_iterations: int = 16
     divergence: float = 1e4
     patience: int = 7
@@ -109,6 +120,10 @@ class Equations(Protocol):
 
     def search(self, u: np.ndarray) -> None:
         """Refresh contact candidates."""
+        ...
+
+    def freeze(self, frozen: bool) -> None:
+        """Hold the partners of contact points, or free them."""
         ...
 
 
@@ -204,6 +219,43 @@ def newton(
     return u, report(options.max_iterations), Status.NOT_CONVERGED
 
 
+def land(
+    problem: Equations,
+    solver: DirectSolver,
+    start: np.ndarray,
+    factors: Mapping[str, float],
+    options: NewtonOptions,
+    body_size: float,
+) -> tuple[np.ndarray, NewtonReport] | None:
+    """Newton's method from near balance with the contact points' partners held.
+
+    Returns a stable solution that is still near balance with the partners free, or None.
+    """
+    pressure = problem.pressure
+    free = ~problem.conditions.fixed
+    brief = replace(options, max_iterations=12, patience=5)
+    u, count = start, 0
+    for _ in range(options.landings):
+        problem.search(u)
+        problem.residual(u, factors)
+        problem.freeze(True)
+        try:
+            u, report, bad = newton(problem, solver, u, factors, brief, body_size)
+        finally:
+            problem.freeze(False)
+        count += report.iterations
+        if bad is not None or report.negative_pivots > 0:
+            break
+        problem.search(u)
+        r, _ = problem.residual(u, factors)
+        scale = max(problem.force_scale(factors, r), 1e-12)
+        error = float(np.abs(r[free]).max(initial=0.0)) / scale
+        if error < options.flicker:
+            return u, replace(report, residual=error, iterations=count)
+    problem.pressure = pressure
+    return None
+
+
 def creep(
     problem: Equations,
     solver: DirectSolver,
@@ -254,14 +306,13 @@ def creep(
         if settled and error < options.residual_tolerance and strength < creeping.thin:
             report = NewtonReport(count, error, tuple(residuals), solver.negative_pivots)
             return u, report, work, None
-        if error < options.residual_tolerance and count >= landing:
-            # Near balance, where contact points that flicker keep the bath thick, Newton lands.
-            landing = count + 6
-            pressure = problem.pressure
-            v, report, bad = newton(problem, solver, u, factors, options, body_size)
-            if bad is None and report.negative_pivots == 0:
+        if error < options.near and count >= landing:
+            landing = count + 8
+            landed = land(problem, solver, u, factors, options, body_size)
+            if landed is not None:
+                v, report = landed
                 return v, replace(report, iterations=count + report.iterations), work, None
-            problem.pressure = pressure
+            r, _ = problem.residual(u, factors)
         pattern = problem.tangent(u, factors)
         rhs = np.where(problem.conditions.fixed, 0.0, -r).ravel()
         added = 0.0

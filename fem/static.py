@@ -19,7 +19,14 @@ from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.fem.body import SolidBody
 from flexapod.fem.contacts import Contact
 from flexapod.fem.loads import Conditions, Displacement, Load
-from flexapod.fem.newton import CreepOptions, NewtonOptions, NewtonReport, creep, newton
+from flexapod.fem.newton import (
+    CreepOptions,
+    NewtonOptions,
+    NewtonReport,
+    creep,
+    land,
+    newton,
+)
 from flexapod.fem.sparse import BlockPattern, DirectSolver
 
 
@@ -153,6 +160,16 @@ class StaticProblem:
         x = self.positions(u)
         for contact in self.contacts:
             contact.update(x)
+
+    def freeze(self, frozen: bool) -> None:
+        """Let contact points keep the partner faces they have, or choose anew again.
+
+        A point that balances on the edge of two faces changes sides for ever; on either face
+        it is in balance.
+        """
+        for contact in self.contacts:
+            if hasattr(contact, "frozen"):
+                contact.frozen = frozen
 
     def residual(self, u: np.ndarray, factors: Mapping[str, float]) -> tuple[np.ndarray, float]:
         """Return internal minus external force [N] (node_count, 3) and the stored energy [J].
@@ -443,6 +460,11 @@ class _Path:
             self.problem, self.solver, guess, target, self.options.newton, self.body_size
         )
         self.stats.iterations += report.iterations
+        if failure is Status.NOT_CONVERGED and report.residual < self.options.newton.near:
+            landed = land(self.problem, self.solver, u, target, self.options.newton, self.body_size)
+            if landed is not None:
+                self.stats.iterations += landed[1].iterations
+                return *landed, None
         if failure is not None:
             self.problem.pressure = pressure
         return u, report, failure
