@@ -82,3 +82,44 @@ def test_two_sides_of_a_sharp_notch_share_an_edge_and_are_no_candidates() -> Non
     apart = np.vstack([x, x[[0, 3]] + [0.0, 0.0, 0.01]])
     split = np.array([[0, 1, 2, 3], [6, 7, 4, 5]])
     assert candidate_faces(apart, split, split, 2.0)[:, 0].tolist() == [1, 0]
+
+
+def test_two_sides_of_one_wall_are_no_candidates() -> None:
+    # A plate a tenth thick: its sides look away from each other, however near they are.
+    mesh = grid((4, 4, 1), lambda x: x * [1.0, 1.0, 0.1])
+    faces = np.concatenate([mesh.facet_groups["z0"], mesh.facet_groups["z1"]])
+    x = mesh.nodes
+    normal = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 3]] - x[faces[:, 0]])
+    outward = np.where(x[faces[:, 0], 2] > 0.05, 1.0, -1.0)
+    faces = np.where((normal[:, 2] * outward > 0.0)[:, None], faces, faces[:, ::-1])
+    assert (candidate_faces(x, faces, faces, 0.3)[:, 0] >= 0).all()
+    assert (candidate_faces(x, faces, faces, 0.3, x, 5e-4) == -1).all()
+
+
+def test_the_sides_of_a_crease_are_candidates_only_away_from_it() -> None:
+    # Two leaves of eight faces meet at a right angle along y and are folded to 20 degrees.
+    def leaves(angle: float) -> tuple[np.ndarray, np.ndarray]:
+        mesh = grid((8, 1, 1))
+        floor = mesh.facet_groups["z0"]
+        nodes = np.unique(floor)
+        x = mesh.nodes[nodes]
+        faces = np.searchsorted(nodes, floor)
+        c, s = np.cos(angle), np.sin(angle)
+        wall = np.stack([c * x[:, 0], x[:, 1], s * x[:, 0]], axis=1)
+        up = np.cross(x[faces[0, 1]] - x[faces[0, 0]], x[faces[0, 3]] - x[faces[0, 0]])[2] > 0.0
+        low = faces if up else faces[:, ::-1]
+        return np.vstack([x, wall]), np.concatenate([low, low[:, ::-1] + len(x)])
+
+    rest, faces = leaves(np.pi / 2)
+    folded, _ = leaves(np.radians(20.0))
+    assert (candidate_faces(folded, faces, faces, 1.0)[:, 0] >= 0).all()
+    found = candidate_faces(folded, faces, faces, 1.0, rest, 1e-4)
+    # A face is 1/8 x 1, its diagonal 1.0078; 2.5 of them are further than the leaves reach.
+    assert (found == -1).all()
+    small = rest * [4.0, 0.25, 4.0]  # leaves 4 long of faces 1/2 x 1/4: a diagonal of 0.559
+    found = candidate_faces(folded * [4.0, 0.25, 4.0], faces, faces, 2.0, small, 1e-4)
+    centre = small[faces].mean(axis=1)
+    assert (found >= 0).any()
+    for f, row in enumerate(found):
+        for m in row[row >= 0]:
+            assert np.linalg.norm(centre[f] - centre[m]) > 2.5 * 0.559

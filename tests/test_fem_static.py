@@ -8,6 +8,8 @@ from statics_helpers import grid, hold, solid
 
 from flexapod.core.errors import InputError, Status
 from flexapod.fem.loads import Displacement, surface_force
+from flexapod.fem.newton import CreepOptions, NewtonOptions, creep, newton
+from flexapod.fem.sparse import DirectSolver
 from flexapod.fem.static import LoadStep, PathOptions, StaticProblem, solve_path
 from flexapod.materials.neo_hooke import NeoHooke
 
@@ -86,3 +88,35 @@ def test_moving_a_support_that_flips_elements_cuts_back_or_fails_with_a_name() -
     assert 0.0 < result.state.factors["crush"] < 1.0 / 1.2
     assert "crush" in result.message
     assert np.isfinite(result.state.u).all()
+
+
+def test_creep_from_rest_ends_where_newton_does() -> None:
+    problem = _problem()
+    solver, options = DirectSolver(), NewtonOptions()
+    rest = np.zeros((problem.body.node_count, 3))
+    exact, _, failure = newton(problem, solver, rest, {"pull": 1.0}, options, 1.0)
+    assert failure is None
+    bath = np.full(problem.body.node_count, 1e5)
+    said: list[str] = []
+    u, report, work, bad = creep(
+        problem, solver, rest, {"pull": 1.0}, options, CreepOptions(), 1.0, bath, said.append
+    )
+    assert bad is None
+    assert work > 0.0 and said
+    assert report.iterations > 1
+    # Both to Newton's tolerances: 1e-5 of the body.
+    np.testing.assert_allclose(u, exact, atol=1e-5)
+    solver.close()
+
+
+def test_creep_that_runs_out_of_steps_says_so() -> None:
+    problem = _problem()
+    solver = DirectSolver()
+    rest = np.zeros((problem.body.node_count, 3))
+    few = CreepOptions(first=1e3, max_steps=2)
+    bath = np.full(problem.body.node_count, 1e5)
+    *_, bad = creep(
+        problem, solver, rest, {"pull": 1.0}, NewtonOptions(), few, 1.0, bath, lambda _: None
+    )
+    assert bad is Status.NOT_CONVERGED
+    solver.close()
