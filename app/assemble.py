@@ -36,6 +36,7 @@ _WORDS = {
     "size": ("coarse", "default", "fine"),
     "symmetry": ("whole", "half", "quarter"),
     "assistant_feed": ("ventilation", "row"),
+    "servo_place": ("limit_layer", "turning_rows"),
 }
 
 

@@ -360,8 +360,7 @@ def creep(
         work += float((strength * bath[:, None] * step * step).sum())
         u, r, problem.pressure = candidate, r_new, pressure
         moved = length * size
-        problem_moved = moved > creeping.search_after * body_size
-        if problem_moved:
+        if moved > creeping.search_after * body_size:
             problem.search(u)
             r, _ = problem.residual(u, factors)
         ratio = float(np.linalg.norm(r[free])) / max(norm, 1e-300)
@@ -372,15 +371,14 @@ def creep(
         elif not capped:
             # Thin the bath with the residual, and also where the step hardly changed the slope
             # it went down: it was the bath that stopped it.
-            thinner = min(max(ratio, 0.2), 2.0) if ratio > 1.2 else min(max(ratio, 0.2), 1.0)
+            thinner = min(max(ratio, 0.2), 2.0 if ratio > 1.2 else 1.0)
             strength *= min(thinner, 0.4) if new_slope < 0.6 * slope else thinner
         if count < firm_until:
             strength = max(strength, 1.5 * unstable)
-        strength = max(strength, creeping.thin * 0.01)
+        strength = min(max(strength, 0.01 * creeping.thin), creeping.thickest)
         if count % 5 == 0:
             say(
                 f"creep {count}: bath {before:.1e}, residual {error:.1e}, move {moved * 1e3:.3f} mm"
-                f" trials {trial} slope {new_slope / slope:.2f}"
             )
     report = NewtonReport(creeping.max_steps, residuals[-1], tuple(residuals), 0)
     return u, report, work, status
