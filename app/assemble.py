@@ -300,7 +300,7 @@ def assemble(loaded: LoadedCase, mesh: TaggedMesh) -> Assembly:
         faces = surface_faces(mesh, pressure.surface, f"{source}: pressure.{pressure.name}.surface")
         faces = np.ascontiguousarray(faces, dtype=np.int64)
         loads.append(fem_loads.CavityPressure(pressure.name, faces, pressure.value))
-    displacements, contacts = _displacements(loaded, mesh), _contacts(loaded, mesh, body)
+    displacements, contacts = _displacements(loaded, mesh), _contacts(loaded, mesh, body, node_mass)
     try:
         problem = StaticProblem(body, displacements, loads, contacts)
     except InputError as error:
@@ -403,13 +403,21 @@ def _surface_modulus(mesh: TaggedMesh, body: SolidBody, faces: np.ndarray) -> fl
 _INCOMPRESSIBLE = 0.5
 
 
-def _contacts(loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody) -> list[Contact]:
-    from flexapod.fem.contacts import FaceContact, PlaneContact
+def _contacts(
+    loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, node_mass: np.ndarray
+) -> list[Contact]:
+    from flexapod.fem.contacts import FaceContact, PlaneContact, SlidingWeight
 
     contacts: list[Contact] = []
     for index, spec in enumerate(loaded.case.contact):
         where = f"{loaded.source}: contact.{index}"
         name = f"{spec.type}_{index}"
+        if spec.type == "weight":
+            weight = spec.acceleration * node_mass
+            contacts.append(
+                SlidingWeight(name, mesh.nodes, weight, spec.normal, spec.friction, spec.slip)
+            )
+            continue
         faces = surface_faces(mesh, spec.surface, f"{where}.surface")
         modulus = _surface_modulus(mesh, body, faces)
         if spec.type == "plane":

@@ -296,8 +296,31 @@ class ContactPairSpec(_FaceContactBase):
     _against = field_validator("against", mode="before")(_one_or_many)
 
 
+class ContactWeightSpec(_Table):
+    """A body on a table outside the model, sliding along it under its own weight."""
+
+    type: Literal["weight"]
+    normal: Triple = Field(description="Of the table; the body moves along it. Any length.")
+    friction: Annotated[float, Field(gt=0, lt=10)] = Field(description="Coulomb coefficient.")
+    acceleration: Acceleration = Field(
+        default=_text("9.8 m/s^2"), description="Of gravity, onto the table."
+    )
+    slip: PositiveLength = Field(
+        default=_text("0.1 mm"),
+        description="Slip within an increment at which friction has 0.7 of its full force.",
+    )
+
+    @field_validator("normal")
+    @classmethod
+    def _direction(cls, value: Triple) -> Triple:
+        if not 0.0 < math.hypot(*value) < math.inf:
+            raise ValueError("the normal must have a length")
+        return value
+
+
 ContactSpec = Annotated[
-    ContactSelfSpec | ContactPlaneSpec | ContactPairSpec, Field(discriminator="type")
+    ContactSelfSpec | ContactPlaneSpec | ContactPairSpec | ContactWeightSpec,
+    Field(discriminator="type"),
 ]
 
 

@@ -375,3 +375,85 @@ class PlaneContact:
         return ContactReport(
             -residual.sum(axis=0), float(self.areas[touching].sum()), depth, highest
         )
+
+
+class SlidingWeight:
+    """A body that lies on a plane outside the model and slides on it under its own weight.
+
+    For bodies that move along the plane only, as in a model cut by a plane of symmetry parallel to
+    it: no face of the model touches the plane, each node presses on it with its share of the
+    weight. Friction is Coulomb's, ``mu m g s / sqrt(|s|**2 + s0**2)`` against the slip ``s`` since
+    the last accepted state: it has a potential, so its tangent is exact and symmetric. What it
+    does not know is sticking with a memory: a load that rests lets its friction go.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3).
+    weight
+        Nodal mass times the acceleration of gravity [N], shape (node_count,).
+    normal
+        Of the plane.
+    friction
+        Coulomb coefficient.
+    slip
+        s0 [m]: the slip within an increment at which friction has 0.7 of its full force.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: np.ndarray,
+        weight: np.ndarray,
+        normal: tuple[float, float, float],
+        friction: float,
+        slip: float,
+    ) -> None:
+        self.name = name
+        self.limit = friction * np.asarray(weight, dtype=float)
+        self.slip = slip
+        unit = np.asarray(normal, dtype=float) / np.linalg.norm(normal)
+        self._along = np.eye(3) - np.outer(unit, unit)
+        self.anchor = np.array(nodes, dtype=float)
+        self._trial = self.anchor.copy()
+        self._nodes = np.arange(nodes.shape[0])[:, None]
+
+    def couplings(self) -> list[np.ndarray]:
+        """See `Contact`: a node couples with itself only."""
+        return []
+
+    def update(self, x: np.ndarray) -> None:
+        """See `Contact`: nothing to search."""
+
+    def _slips(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slips = (x - self.anchor) @ self._along
+        return slips, np.sqrt((slips**2).sum(axis=1) + self.slip**2)
+
+    def add_residual(self, x: np.ndarray, residual: np.ndarray) -> float:
+        """See `Contact`."""
+        self._trial[:] = x
+        slips, size = self._slips(x)
+        residual += (self.limit / size)[:, None] * slips
+        return float((self.limit * (size - self.slip)).sum())
+
+    def stiffness(self, x: np.ndarray) -> list[Stiffness]:
+        """See `Contact`."""
+        slips, size = self._slips(x)
+        outer = slips[:, :, None] * slips[:, None, :] / (size**2)[:, None, None]
+        return [(self._nodes, (self.limit / size)[:, None, None] * (self._along - outer))]
+
+    def commit(self) -> None:
+        """See `Contact`: the accepted state is where slip is counted from."""
+        self.anchor[:] = self._trial
+
+    def nodal_pressure(self, x: np.ndarray) -> np.ndarray:
+        """See `Contact`: the plane touches no face of the model."""
+        return np.zeros(x.shape[0])
+
+    def report(self, x: np.ndarray) -> ContactReport:
+        """See `Contact`: the friction of the last increment."""
+        slips, size = self._slips(x)
+        force = -((self.limit / size)[:, None] * slips).sum(axis=0)
+        return ContactReport(force, 0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ from statics_helpers import grid
 
 from flexapod.contact import kernels
 from flexapod.contact.law import ContactLaw
-from flexapod.fem.contacts import FaceContact, PlaneContact
+from flexapod.fem.contacts import FaceContact, PlaneContact, SlidingWeight
 
 POINTS = kernels.POINTS
 # A unit square at z = 0 looking up, and one of half its size at height h looking down.
@@ -175,3 +175,45 @@ def test_a_frozen_contact_keeps_its_partner_beyond_the_rim() -> None:
     # (8.8 MN; round-off of the projection is below 1 mN.)
     np.testing.assert_allclose(held[4:].sum(axis=0), force[4:].sum(axis=0), atol=1e-3)
     assert abs(free[4:, 2].sum()) < 0.9 * abs(force[4:, 2].sum())
+
+
+def _sliding() -> tuple[np.ndarray, SlidingWeight]:
+    nodes = np.random.default_rng(3).uniform(0.0, 1.0, (5, 3))
+    weight = np.array([1.0, 2.0, 0.5, 0.0, 3.0])
+    return nodes, SlidingWeight("table", nodes, weight, (0.0, 2.0, 0.0), 0.8, 1e-3)
+
+
+def test_a_sliding_weight_resists_with_its_friction_along_the_table_only() -> None:
+    nodes, table = _sliding()
+    force = np.zeros_like(nodes)
+    table.add_residual(nodes + [3.0, 7.0, 4.0], force)
+    # Slip 5, s0 1e-3: the friction falls short of mu m g by 2e-8.
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), table.limit, rtol=1e-7)
+    np.testing.assert_allclose(force, table.limit[:, None] * [0.6, 0.0, 0.8], rtol=1e-7)
+    np.testing.assert_allclose(
+        table.report(nodes + [3.0, 7.0, 4.0]).force, [-0.6 * 5.2, 0.0, -0.8 * 5.2], rtol=1e-7
+    )
+    # Accepted, it counts from there: no slip, no friction.
+    table.commit()
+    force[:] = 0.0
+    assert table.add_residual(nodes + [3.0, 9.0, 4.0], force) == 0.0
+    assert not force.any()
+
+
+def test_tangent_of_a_sliding_weight_against_differences() -> None:
+    nodes, table = _sliding()
+    x = nodes + np.random.default_rng(4).normal(0.0, 1e-3, nodes.shape)
+    ((rows, blocks),) = table.stiffness(x)
+    assert rows.shape == (5, 1)
+    step = 1e-7
+    for axis in range(3):
+        ahead, behind = np.zeros_like(x), np.zeros_like(x)
+        up = table.add_residual(x + step * np.eye(3)[axis], ahead)
+        down = table.add_residual(x - step * np.eye(3)[axis], behind)
+        # Second order in 1e-7 against a length of 1e-3: 1e-8, and round-off of 1e-16 / 1e-7.
+        np.testing.assert_allclose(
+            (ahead - behind) / (2.0 * step), blocks[:, :, axis], rtol=1e-6, atol=1e-4
+        )
+        force = np.zeros_like(x)
+        table.add_residual(x, force)
+        assert (up - down) / (2.0 * step) == pytest.approx(force[:, axis].sum(), rel=1e-6)
