@@ -16,6 +16,7 @@ from flexapod.core.errors import Status
 
 COARSE = {
     "curl": ["mesh.size=coarse"],
+    "curl_side": ["mesh.size=coarse"],
     "turn": ["mesh.size=coarse"],
     "free_curl": ["mesh.size=coarse", "mesh.units=2"],
 }
