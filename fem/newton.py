@@ -29,6 +29,9 @@ class NewtonOptions:
     flicker
         Largest residual over the force scale that may be left once the partners of a landed
         solution are free again: the jump of a single point's force as it changes faces.
+    close
+        Correction of a node over the body's size that is none where the residual is `near`: a
+        point of friction or contact that Newton's method steps over and over keeps it up.
     landings
         How often at most the partners are held, the solution found and the partners freed.
     max_iterations
@@ -45,6 +48,7 @@ class NewtonOptions:
     increment_tolerance: float = 1e-5
     near: float = 2e-2
     flicker: float = 0.1
+    close: float = 1e-3
     landings: int = 6
     max_iterations: int = 16
     divergence: float = 1e4
@@ -89,6 +93,7 @@ class NewtonReport:
     residual: float  # largest free nodal residual over the force scale
     residuals: tuple[float, ...]  # of every iteration, for the order of convergence
     negative_pivots: int  # of the last factorisation: > 0 means an unstable equilibrium
+    correction: float = np.inf  # the last one's largest move of a node, before any line search [m]
 
 
 class Equations(Protocol):
@@ -151,10 +156,11 @@ def newton(
     problem.conditions.apply(u, dict(factors))
     problem.search(u)
     residuals: list[float] = []
+    full = np.inf
 
     def report(count: int) -> NewtonReport:
         last = residuals[-1] if residuals else np.inf
-        return NewtonReport(count, last, tuple(residuals), solver.negative_pivots)
+        return NewtonReport(count, last, tuple(residuals), solver.negative_pivots, full)
 
     r, energy = problem.residual(u, factors)
     if not np.isfinite(energy):
@@ -190,6 +196,7 @@ def newton(
         du = solver.solve(rhs.ravel()).reshape(u.shape)
         if not np.isfinite(du).all():
             return u, report(iteration), Status.SINGULAR
+        full = float(np.abs(du).max())
         old = problem.pressure
         if old is None:
             old = problem.predict_pressure(u, np.zeros_like(u))
@@ -244,7 +251,8 @@ def land(
         finally:
             problem.freeze(False)
         count += report.iterations
-        if bad is not None or report.negative_pivots > 0:
+        close = report.residual < options.near and report.correction < options.close * body_size
+        if report.negative_pivots > 0 or not (bad is None or close):
             break
         problem.search(u)
         r, _ = problem.residual(u, factors)
