@@ -521,7 +521,7 @@ def test_servo_place_in_a_case() -> None:
     table = {"builder": "turn", "servos": True, "servo_place": "turning_rows"}
     assert make_builder(MeshSpec(**table), "my.toml").servo_place == "turning_rows"
     with pytest.raises(
-        InputError, match=r"mesh\.servo_place: .*one of limit_layer, turning_rows.*'attic'"
+        InputError, match=r"mesh\.servo_place: .*one of limit_layer, turning_rows; got .attic."
     ):
         make_builder(MeshSpec(**{**table, "servo_place": "attic"}), "my.toml")
 
