@@ -229,6 +229,12 @@ class PressureSpec(_NamedLoad):
     value: Pressure
 
 
+def _with_length(value: Triple) -> Triple:
+    if not 0.0 < math.hypot(*value) < math.inf:
+        raise ValueError("the normal must have a length")
+    return value
+
+
 class _ContactBase(_Table):
     surface: Names = Field(description="Surface groups of the body; globs allowed.")
     stiffness: ContactStiffness | None = Field(
@@ -279,12 +285,7 @@ class ContactPlaneSpec(_ContactBase):
         default=0.0, description="Coulomb coefficient."
     )
 
-    @field_validator("normal")
-    @classmethod
-    def _direction(cls, value: Triple) -> Triple:
-        if not 0.0 < math.hypot(*value) < math.inf:
-            raise ValueError("the normal must have a length")
-        return value
+    _direction = field_validator("normal")(_with_length)
 
 
 class ContactPairSpec(_FaceContactBase):
@@ -310,12 +311,7 @@ class ContactWeightSpec(_Table):
         description="Slip within an increment at which friction has 0.7 of its full force.",
     )
 
-    @field_validator("normal")
-    @classmethod
-    def _direction(cls, value: Triple) -> Triple:
-        if not 0.0 < math.hypot(*value) < math.inf:
-            raise ValueError("the normal must have a length")
-        return value
+    _direction = field_validator("normal")(_with_length)
 
 
 ContactSpec = Annotated[

@@ -149,6 +149,49 @@ def _project(x: Any, face: Any, p: Any, n: Any, d: Any, t: Any, twist: Any) -> t
     return xi, eta
 
 
+@inline_kernel
+def _point(x: Any, face: Any, n: Any, p: Any) -> None:
+    for i in range(3):
+        p[i] = 0.0
+        for a in range(4):
+            p[i] += n[a] * x[face[a], i]
+
+
+@inline_kernel
+def _unit_normal(t: Any, normal: Any) -> float:
+    """Unit normal of a face with tangents `t`; returns the length of their cross product."""
+    normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
+    normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
+    normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
+    size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    for i in range(3):
+        normal[i] /= size
+    return size
+
+
+@inline_kernel
+def _gap(
+    x: Any, face: Any, p: Any, xi: float, eta: float, n: Any, d: Any, t: Any, normal: Any
+) -> tuple[float, float]:
+    """Distance of `p` from the face along its normal at (xi, eta), and the normal's size."""
+    shape(xi, eta, n)
+    shape_derivatives(xi, eta, d)
+    _tangents(x, face, d, t)
+    size = _unit_normal(t, normal)
+    g = 0.0
+    for i in range(3):
+        r = p[i]
+        for a in range(4):
+            r -= n[a] * x[face[a], i]
+        g += r * normal[i]
+    return g, size
+
+
+@inline_kernel
+def _smooth_step(a: float) -> float:
+    return a * a * (3.0 - 2.0 * a)
+
+
 @parallel_kernel
 def find_partners(
     x: Any,
@@ -163,19 +206,16 @@ def find_partners(
     gap: Any,
     fade: Any,
 ) -> None:
-    """For each contact point find the nearest master faces it projects onto.
+    """For each contact point find the nearest master face it projects onto.
 
     `candidates` (face_count, candidate_count) lists master faces per slave face, -1 for none.
-    Writes `partner` (face_count, point_count * slot_count; -1 for none), `local` (.., 2) and
-    `gap` (..) [m], negative when penetrating; the slots of a point stand next to each other.
-    Points deeper than `depth` are not contacts but passers-by.
+    Writes `partner` (face_count, point_count; -1 for none), `local` (.., 2) and `gap` (..) [m],
+    negative when penetrating. Points deeper than `depth` are not contacts but passers-by.
 
-    `fade` (..) is each slot's share of the point. A face's own share is 1 on the face and falls
-    smoothly to 0 over the `margin` (in local coordinates) beyond its edge, and before `depth`;
-    shares over one in sum are scaled to one. So a point that slides from face to face, or over a
-    surface's rim, changes its force smoothly: a sudden change is what no Newton step survives.
+    `fade` (..) is 1 on the face and falls smoothly to 0 over the `margin` (in local coordinates)
+    beyond its edge, and before `depth`. So a point that slides over a surface's rim changes its
+    force smoothly: a sudden change is what no Newton step survives.
     """
-    slots = partner.shape[1] // points.shape[0]
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
         d = np.empty((4, 2))
@@ -183,19 +223,13 @@ def find_partners(
         twist = np.empty(3)
         p = np.empty(3)
         normal = np.empty(3)
-        measure = np.empty(slots)
         for q in range(points.shape[0]):
-            first = q * slots
-            for k in range(slots):
-                partner[f, first + k] = -1
-                gap[f, first + k] = math.inf
-                fade[f, first + k] = 0.0
-                measure[k] = math.inf
+            partner[f, q] = -1
+            gap[f, q] = math.inf
+            fade[f, q] = 0.0
+            nearest = math.inf
             shape(points[q, 0], points[q, 1], n)
-            for i in range(3):
-                p[i] = 0.0
-                for a in range(4):
-                    p[i] += n[a] * x[slaves[f, a], i]
+            _point(x, slaves[f], n, p)
             for c in range(candidates.shape[1]):
                 m = candidates[f, c]
                 if m < 0:
@@ -203,62 +237,25 @@ def find_partners(
                 xi, eta = _project(x, masters[m], p, n, d, t, twist)
                 if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue
-                shape(xi, eta, n)
-                shape_derivatives(xi, eta, d)
-                _tangents(x, masters[m], d, t)
-                normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-                normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-                normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
-                size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-                g = 0.0
-                for i in range(3):
-                    r = p[i]
-                    for a in range(4):
-                        r -= n[a] * x[masters[m, a], i]
-                    g += r * normal[i] / size
+                g, size = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
                 if g < -depth:
                     continue
                 excess_xi = max(0.0, abs(xi) - 1.0)
                 excess_eta = max(0.0, abs(eta) - 1.0)
                 # Prefer a face the point lies squarely on over one whose rim it only grazes.
                 here = abs(g) + (excess_xi + excess_eta) * math.sqrt(size)
-                k = slots
-                while k > 0 and here < measure[k - 1]:
-                    k -= 1
-                if k == slots:
+                if not here < nearest:
                     continue
-                for move in range(slots - 1, k, -1):
-                    measure[move] = measure[move - 1]
-                    partner[f, first + move] = partner[f, first + move - 1]
-                    gap[f, first + move] = gap[f, first + move - 1]
-                    fade[f, first + move] = fade[f, first + move - 1]
-                    local[f, first + move, 0] = local[f, first + move - 1, 0]
-                    local[f, first + move, 1] = local[f, first + move - 1, 1]
-                a1 = 1.0 - excess_xi / margin
-                a2 = 1.0 - excess_eta / margin
-                a3 = min(1.0, (depth + g) / (0.3 * depth))
-                measure[k] = here
-                partner[f, first + k] = m
-                gap[f, first + k] = g
-                local[f, first + k, 0] = xi
-                local[f, first + k, 1] = eta
-                fade[f, first + k] = (
-                    a1
-                    * a1
-                    * (3.0 - 2.0 * a1)
-                    * a2
-                    * a2
-                    * (3.0 - 2.0 * a2)
-                    * a3
-                    * a3
-                    * (3.0 - 2.0 * a3)
+                nearest = here
+                partner[f, q] = m
+                gap[f, q] = g
+                local[f, q, 0] = xi
+                local[f, q, 1] = eta
+                fade[f, q] = (
+                    _smooth_step(1.0 - excess_xi / margin)
+                    * _smooth_step(1.0 - excess_eta / margin)
+                    * _smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
                 )
-            total = 0.0
-            for k in range(slots):
-                total += fade[f, first + k]
-            if total > 1.0:
-                for k in range(slots):
-                    fade[f, first + k] /= total
 
 
 @parallel_kernel
@@ -269,7 +266,6 @@ def project_on_partners(
 
     A point may slide over its partner's rim, on the face's continuation.
     """
-    slots = partner.shape[1] // points.shape[0]
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
         d = np.empty((4, 2))
@@ -277,33 +273,16 @@ def project_on_partners(
         twist = np.empty(3)
         p = np.empty(3)
         normal = np.empty(3)
-        for slot in range(partner.shape[1]):
-            m = partner[f, slot]
+        for q in range(points.shape[0]):
+            m = partner[f, q]
             if m < 0:
                 continue
-            q = slot // slots
             shape(points[q, 0], points[q, 1], n)
-            for i in range(3):
-                p[i] = 0.0
-                for a in range(4):
-                    p[i] += n[a] * x[slaves[f, a], i]
+            _point(x, slaves[f], n, p)
             xi, eta = _project(x, masters[m], p, n, d, t, twist)
-            shape(xi, eta, n)
-            shape_derivatives(xi, eta, d)
-            _tangents(x, masters[m], d, t)
-            normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-            normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-            normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
-            size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-            g = 0.0
-            for i in range(3):
-                r = p[i]
-                for a in range(4):
-                    r -= n[a] * x[masters[m, a], i]
-                g += r * normal[i] / size
-            gap[f, slot] = g
-            local[f, slot, 0] = xi
-            local[f, slot, 1] = eta
+            gap[f, q], _ = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
+            local[f, q, 0] = xi
+            local[f, q, 1] = eta
 
 
 @kernel
@@ -347,32 +326,25 @@ def pair_contact(
     cn = np.empty((2, 24))
     energy = 0.0
     count = 0
-    slots = partner.shape[1] // points.shape[0]
     pressure[:] = 0.0
     for f in range(slaves.shape[0]):
-        for slot in range(partner.shape[1]):
-            q = slot // slots
-            m = partner[f, slot]
-            if m < 0 or not gap[f, slot] < 0.0 or fade[f, slot] == 0.0:
+        for q in range(points.shape[0]):
+            m = partner[f, q]
+            if m < 0 or not gap[f, q] < 0.0 or fade[f, q] == 0.0:
                 continue
-            g = gap[f, slot]
-            xi = local[f, slot, 0]
-            eta = local[f, slot, 1]
+            g = gap[f, q]
+            xi = local[f, q, 0]
+            eta = local[f, q, 1]
             shape(points[q, 0], points[q, 1], ns)
             shape(xi, eta, nm)
             shape_derivatives(xi, eta, d)
             _tangents(x, masters[m], d, t)
-            normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-            normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-            normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
-            size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-            for i in range(3):
-                normal[i] /= size
+            _unit_normal(t, normal)
             w = share * areas[f, q]
             depth = -g
-            traction = fade[f, slot] * coefficient * depth**exponent
-            slope = fade[f, slot] * coefficient * exponent * depth ** (exponent - 1.0)
-            pressure[f, q] += traction
+            traction = fade[f, q] * coefficient * depth**exponent
+            slope = fade[f, q] * coefficient * exponent * depth ** (exponent - 1.0)
+            pressure[f, q] = traction
             energy += w * traction * depth / (exponent + 1.0)
             # d(energy)/dx = -w traction dg/dx, and dg/dx = N_s n on slaves, -N_m n on masters.
             for a in range(4):

@@ -71,7 +71,7 @@ def candidate_faces(
         valid &= np.abs(apart) > joint_gap
         facing = np.einsum("ski,si->sk", master_rest_normal[index], slave_rest_normal)
         opposite = (facing < FACING_COSINE) & (apart > 0.0)  # and not back to back on one wall
-        slave_size, master_size = _diagonals(reference, slaves), _diagonals(reference, masters)
+        slave_size, master_size = diagonals(reference, slaves), diagonals(reference, masters)
         size = np.maximum(slave_size[:, None], master_size[index])
         far = np.linalg.norm(slave_rest[:, None] - master_rest[index], axis=2) > CREASE * size
         valid &= opposite | far
@@ -82,7 +82,7 @@ def candidate_faces(
     return out
 
 
-def _diagonals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def diagonals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Longer diagonal of each face [m]."""
     first = np.linalg.norm(x[faces[:, 2]] - x[faces[:, 0]], axis=1)
     second = np.linalg.norm(x[faces[:, 3]] - x[faces[:, 1]], axis=1)

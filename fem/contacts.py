@@ -9,12 +9,8 @@ import numpy as np
 
 from flexapod.contact import kernels
 from flexapod.contact.law import ContactLaw
-from flexapod.contact.search import candidate_faces
+from flexapod.contact.search import candidate_faces, diagonals
 from flexapod.fem.loads import Stiffness
-
-# Master faces a contact point may rest on at once. With more than one, the change of their shares
-# is missing from the tangent and Newton's method fails (docs/decisions.md).
-SLOTS = 1
 
 
 @dataclass(frozen=True)
@@ -46,6 +42,10 @@ class Contact(Protocol):
 
     def stiffness(self, x: np.ndarray) -> list[Stiffness]:
         """Return the tangent at positions `x`."""
+        ...
+
+    def freeze(self, frozen: bool) -> None:
+        """Let points keep the partners they have, or choose anew again."""
         ...
 
     def commit(self) -> None:
@@ -180,6 +180,10 @@ class FaceContact:
         )
         return float(energy), int(count)
 
+    def freeze(self, frozen: bool) -> None:
+        """See `Contact`."""
+        self.frozen = frozen
+
     def commit(self) -> None:
         """See `Contact`: frictionless contact has no history."""
 
@@ -220,11 +224,10 @@ class _Pass:
         count = (slaves.shape[0], kernels.POINTS.shape[0])
         self.areas = np.empty(count)
         kernels.point_areas(nodes, slaves, kernels.POINTS, self.areas)
-        shared = (count[0], count[1] * SLOTS)
-        self.partner = np.full(shared, -1, dtype=np.int32)
-        self.local = np.zeros((*shared, 2))
-        self.gap = np.full(shared, np.inf)
-        self.fade = np.zeros(shared)
+        self.partner = np.full(count, -1, dtype=np.int32)
+        self.local = np.zeros((*count, 2))
+        self.gap = np.full(count, np.inf)
+        self.fade = np.zeros(count)
         self.pressure = np.zeros(count)
         self.nodes = np.empty((0, 8), dtype=np.int64)
         self.stiffness = np.empty((0, 24, 24))
@@ -232,7 +235,7 @@ class _Pass:
         self.couplings = np.empty((0, 8), dtype=np.int64)
 
     def search(self, x: np.ndarray, depth: float, margin: float) -> None:
-        size = max(_largest_diagonal(x, self.slaves), _largest_diagonal(x, self.masters))
+        size = max(diagonals(x, faces).max(initial=0.0) for faces in (self.slaves, self.masters))
         self.candidates = candidate_faces(
             x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
         )
@@ -260,14 +263,6 @@ class _Pass:
             size = int(1.5 * count) + 16
             self.nodes = np.empty((size, 8), dtype=np.int64)
             self.stiffness = np.empty((size, 24, 24))
-
-
-def _largest_diagonal(x: np.ndarray, faces: np.ndarray) -> float:
-    if not faces.shape[0]:
-        return 0.0
-    a = np.linalg.norm(x[faces[:, 2]] - x[faces[:, 0]], axis=1)
-    b = np.linalg.norm(x[faces[:, 3]] - x[faces[:, 1]], axis=1)
-    return float(max(a.max(), b.max()))
 
 
 class PlaneContact:
@@ -352,6 +347,9 @@ class PlaneContact:
             tangent,
         )
         return float(energy), int(count)
+
+    def freeze(self, frozen: bool) -> None:
+        """See `Contact`: a plane is the only partner there is."""
 
     def commit(self) -> None:
         """See `Contact`: the trial anchors of the last evaluation become history."""
@@ -443,6 +441,9 @@ class SlidingWeight:
         slips, size = self._slips(x)
         outer = slips[:, :, None] * slips[:, None, :] / (size**2)[:, None, None]
         return [(self._nodes, (self.limit / size)[:, None, None] * (self._along - outer))]
+
+    def freeze(self, frozen: bool) -> None:
+        """See `Contact`: the table is the only partner there is."""
 
     def commit(self) -> None:
         """See `Contact`: the accepted state is where slip is counted from."""

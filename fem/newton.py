@@ -132,6 +132,20 @@ class Equations(Protocol):
         ...
 
 
+def _imbalance(problem: Equations, r: np.ndarray, factors: Mapping[str, float]) -> float:
+    """Largest free nodal residual over the force scale."""
+    largest = float(np.abs(r[~problem.conditions.fixed]).max(initial=0.0))
+    return largest / max(problem.force_scale(factors, r), 1e-12)
+
+
+def _pressures(problem: Equations, u: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Geometric pressure [Pa] before and after a whole correction."""
+    old = problem.pressure
+    if old is None:
+        old = problem.predict_pressure(u, np.zeros_like(u))
+    return old, problem.predict_pressure(u, du)
+
+
 def newton(
     problem: Equations,
     solver: DirectSolver,
@@ -169,8 +183,7 @@ def newton(
     correction = np.inf
     best, stale = np.inf, 0
     for iteration in range(options.max_iterations + 1):
-        scale = max(problem.force_scale(factors, r), 1e-12)
-        error = float(np.abs(r[free]).max(initial=0.0)) / scale
+        error = _imbalance(problem, r, factors)
         residuals.append(error)
         if not np.isfinite(error):
             return u, report(iteration), Status.NOT_FINITE
@@ -197,10 +210,7 @@ def newton(
         if not np.isfinite(du).all():
             return u, report(iteration), Status.SINGULAR
         full = float(np.abs(du).max())
-        old = problem.pressure
-        if old is None:
-            old = problem.predict_pressure(u, np.zeros_like(u))
-        new = problem.predict_pressure(u, du)
+        old, new = _pressures(problem, u, du)
         slope = float((du * (r + problem.pressure_error_force(u, old)))[free].sum())
         length = 1.0
         for trial in range(options.line_search_steps + 1):
@@ -239,7 +249,6 @@ def land(
     Returns a stable solution that is still near balance with the partners free, or None.
     """
     pressure = problem.pressure
-    free = ~problem.conditions.fixed
     brief = replace(options, max_iterations=12, patience=5)
     u, count = start, 0
     for _ in range(options.landings):
@@ -256,8 +265,7 @@ def land(
             break
         problem.search(u)
         r, _ = problem.residual(u, factors)
-        scale = max(problem.force_scale(factors, r), 1e-12)
-        error = float(np.abs(r[free]).max(initial=0.0)) / scale
+        error = _imbalance(problem, r, factors)
         if error < options.flicker:
             return u, replace(report, residual=error, iterations=count)
     problem.pressure = pressure
@@ -307,8 +315,7 @@ def creep(
     settled = False
     unstable, firm_until, landing = 0.0, 0, 3
     for count in range(creeping.max_steps):
-        scale = max(problem.force_scale(factors, r), 1e-12)
-        error = float(np.abs(r[free]).max(initial=0.0)) / scale
+        error = _imbalance(problem, r, factors)
         norm = float(np.linalg.norm(r[free]))
         residuals.append(error)
         if settled and error < options.residual_tolerance and strength < creeping.thin:
@@ -338,10 +345,7 @@ def creep(
         except SolverError as error_:
             return u, NewtonReport(count, error, tuple(residuals), 0), work, error_.status
         du = solver.solve(rhs).reshape(u.shape)
-        old = problem.pressure
-        if old is None:
-            old = problem.predict_pressure(u, np.zeros_like(u))
-        new = problem.predict_pressure(u, du)
+        old, new = _pressures(problem, u, du)
         size = float(np.abs(du).max())
         slope = float((du * (r + problem.pressure_error_force(u, old)))[free].sum())
         length = min(1.0, cap / size)

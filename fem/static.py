@@ -168,8 +168,7 @@ class StaticProblem:
         it is in balance.
         """
         for contact in self.contacts:
-            if hasattr(contact, "frozen"):
-                contact.frozen = frozen
+            contact.freeze(frozen)
 
     def residual(self, u: np.ndarray, factors: Mapping[str, float]) -> tuple[np.ndarray, float]:
         """Return internal minus external force [N] (node_count, 3) and the stored energy [J].

@@ -72,7 +72,7 @@ def test_reactions_balance_the_load() -> None:
     problem = _problem()
     result = solve_path(problem, [LoadStep("one", {"pull": 1.0}, first=0.5)])
     reactions = problem.reactions(result.state.u, {"pull": 1.0}).sum(axis=0)
-    # Newton's default tolerance, 1e-5 of the largest nodal force.
+    # Without contact Newton's last step is far below its tolerance (1e-3 of a nodal force).
     np.testing.assert_allclose(reactions, [-1e4, 0.0, 0.0], atol=0.2)
 
 
