@@ -23,7 +23,8 @@ from flexapod.geometry.builders import BUILDERS
 from flexapod.geometry.tagged import TaggedMesh
 
 if TYPE_CHECKING:
-    from flexapod.app.case import ContactPlaneSpec, LoadedCase, MaterialSpec, MeshSpec
+    from flexapod.app.case import LoadedCase
+    from flexapod.app.spec import ContactPlaneSpec, MaterialSpec, MeshSpec
     from flexapod.contact.law import ContactLaw
     from flexapod.fem.body import SolidBody
     from flexapod.fem.contacts import Contact
@@ -285,8 +286,8 @@ def assemble(loaded: LoadedCase, mesh: TaggedMesh) -> Assembly:
     from flexapod.fem.static import StaticProblem
 
     case, source = loaded.case, loaded.source
-    body = SolidBody(mesh, _materials(loaded, mesh))
-    node_mass = body.node_mass + _carried_mass(loaded, mesh, body)
+    body = SolidBody(mesh, make_materials(loaded, mesh))
+    node_mass = body.node_mass + carried_mass(loaded, mesh, body)
     loads: list[Any] = []
     if case.gravity is not None:
         loads.append(fem_loads.gravity("gravity", node_mass, case.gravity.acceleration))
@@ -308,7 +309,8 @@ def assemble(loaded: LoadedCase, mesh: TaggedMesh) -> Assembly:
     return Assembly(mesh, body, problem, _steps(loaded), _options(loaded), node_mass)
 
 
-def _materials(loaded: LoadedCase, mesh: TaggedMesh) -> dict[str, SolidMaterial]:
+def make_materials(loaded: LoadedCase, mesh: TaggedMesh) -> dict[str, SolidMaterial]:
+    """Material of every cell group a case names."""
     materials: dict[str, SolidMaterial] = {}
     for index, spec in enumerate(loaded.case.material):
         where = f"{loaded.source}: material.{index}"
@@ -327,6 +329,15 @@ def _materials(loaded: LoadedCase, mesh: TaggedMesh) -> dict[str, SolidMaterial]
 
 def make_material(loaded: LoadedCase, spec: MaterialSpec, where: str) -> SolidMaterial:
     """Return the material a table of a case describes."""
+    material = _elastic(loaded, spec, where)
+    if not spec.prony_moduli:
+        return material
+    from flexapod.materials.prony import Prony
+
+    return dataclasses.replace(material, prony=Prony(spec.prony_moduli, spec.prony_times))
+
+
+def _elastic(loaded: LoadedCase, spec: MaterialSpec, where: str) -> SolidMaterial:
     from flexapod.materials.law import SolidMaterial
     from flexapod.materials.library import DEFAULT_POISSON, load_material
     from flexapod.materials.neo_hooke import NeoHooke
@@ -348,7 +359,8 @@ def make_material(loaded: LoadedCase, spec: MaterialSpec, where: str) -> SolidMa
     return SolidMaterial(law, spec.density, poisson, spec.model)
 
 
-def _carried_mass(loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody) -> np.ndarray:
+def carried_mass(loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody) -> np.ndarray:
+    """Mass a case puts on the body [kg], shape (node_count,)."""
     density = np.zeros(len(mesh.cells))
     for index, spec in enumerate(loaded.case.mass):
         cells = group_cells(mesh, spec.group, f"{loaded.source}: mass.{index}.group")
@@ -357,7 +369,8 @@ def _carried_mass(loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody) -> np.n
     return body.lump(density)
 
 
-def _displacements(loaded: LoadedCase, mesh: TaggedMesh) -> list[Displacement]:
+def make_supports(loaded: LoadedCase, mesh: TaggedMesh) -> list[Displacement]:
+    """Displacements held at zero."""
     from flexapod.fem.loads import Displacement
 
     conditions = []
@@ -367,6 +380,13 @@ def _displacements(loaded: LoadedCase, mesh: TaggedMesh) -> list[Displacement]:
         name = f"support of {', '.join(support.surface)}"
         for direction in support.directions:
             conditions.append(Displacement(name, nodes, "xyz".index(direction)))
+    return conditions
+
+
+def _displacements(loaded: LoadedCase, mesh: TaggedMesh) -> list[Displacement]:
+    from flexapod.fem.loads import Displacement
+
+    conditions = make_supports(loaded, mesh)
     for moved in loaded.case.displacement:
         where = f"{loaded.source}: displacement.{moved.name}.surface"
         nodes = np.unique(surface_faces(mesh, moved.surface, where))
@@ -389,7 +409,7 @@ def face_owners(mesh: TaggedMesh, faces: np.ndarray) -> np.ndarray:
     return np.asarray(owner[label[len(every) :]])
 
 
-def _surface_modulus(mesh: TaggedMesh, body: SolidBody, faces: np.ndarray) -> float:
+def surface_modulus(mesh: TaggedMesh, body: SolidBody, faces: np.ndarray) -> float:
     """Young's modulus of the softest material on a surface [Pa].
 
     ``E = 3 G``: the paper's law takes silicone as incompressible, and the bulk modulus of the
@@ -419,7 +439,7 @@ def _contacts(
             )
             continue
         faces = surface_faces(mesh, spec.surface, f"{where}.surface")
-        modulus = _surface_modulus(mesh, body, faces)
+        modulus = surface_modulus(mesh, body, faces)
         if spec.type == "plane":
             law = _plane_law(spec, modulus)
             contacts.append(PlaneContact(name, mesh.nodes, faces, spec.point, spec.normal, law))
@@ -427,10 +447,15 @@ def _contacts(
         partner, other = faces, modulus
         if spec.type == "pair":
             partner = surface_faces(mesh, spec.against, f"{where}.with")
-            other = _surface_modulus(mesh, body, partner)
-        law = _law(spec, modulus, other, _INCOMPRESSIBLE)
+            other = surface_modulus(mesh, body, partner)
+        law = contact_law(spec, modulus, other)
         contacts.append(FaceContact(name, mesh.nodes, faces, partner, law, depth=spec.depth))
     return contacts
+
+
+def contact_law(spec: Any, modulus: float, other: float) -> ContactLaw:
+    """Law of faces against faces, from Young's moduli of both [Pa]."""
+    return _law(spec, modulus, other, _INCOMPRESSIBLE)
 
 
 def _law(

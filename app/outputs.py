@@ -36,6 +36,14 @@ CURVE_FILE = "curve.csv"
 SUMMARY_FILE = "summary.json"
 CHECKPOINT_FILE = "checkpoint.h5"
 COLLECTION_FILE = "fields.pvd"
+PLOT_FILES = (
+    "curve.png",
+    "snapshots.png",
+    "final.png",
+    "energy.png",
+    "contact.png",
+    "animation.gif",
+)
 
 
 @dataclass(frozen=True)
@@ -142,6 +150,17 @@ class ResultsFolder:
             return False
         return "flexapod_version" in table.get("resolved", {})
 
+    @staticmethod
+    def finished(path: Path) -> dict[str, Any] | None:
+        """The resolved case of a run that reached its end in the folder; None without."""
+        try:
+            summary = json.loads((path / SUMMARY_FILE).read_text(encoding="utf-8"))
+            table = tomllib.loads((path / CASE_FILE).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        done = summary.get("status") == "done" and (path / CHECKPOINT_FILE).is_file()
+        return table if done else None
+
     @classmethod
     def open(cls, path: Path, resolved: dict[str, Any], *, resume: bool) -> ResultsFolder:
         """Take a folder for a run, or say why not (`InputError`).
@@ -186,8 +205,8 @@ class ResultsFolder:
             (self.path / name).unlink(missing_ok=True)
         for file in (self.path / "fields").glob("state_*.vtu"):
             file.unlink()
-        for name in ("curve", "snapshots", "final"):
-            (self.path / "plots" / f"{name}.png").unlink(missing_ok=True)
+        for name in PLOT_FILES:
+            (self.path / "plots" / name).unlink(missing_ok=True)
 
     # ------------------------------------------------------------------ writing
 
@@ -200,11 +219,15 @@ class ResultsFolder:
 
     def write_state(self, nodes: np.ndarray, cells: np.ndarray, state: OutputState) -> None:
         """Append a state: its fields, the collection, the row of curve.csv."""
-        index = len(self.rows)
+        index = len(self.times)
         write_vtu(self.path / "fields" / f"state_{index:04d}.vtu", nodes, cells, state)
-        self.rows.append(dict(state.row))
         self.times.append(state.time)
         self._write_collection()
+        self.write_row(state.row)
+
+    def write_row(self, row: Mapping[str, float]) -> None:
+        """Append a row to curve.csv, without fields."""
+        self.rows.append(dict(row))
         self._write_curve()
 
     def keep(self, rows: Sequence[Mapping[str, float]], times: Sequence[float]) -> None:
@@ -212,7 +235,7 @@ class ResultsFolder:
         self.rows = [dict(row) for row in rows]
         self.times = [float(time) for time in times]
         for file in (self.path / "fields").glob("state_*.vtu"):
-            if int(file.stem.removeprefix("state_")) >= len(self.rows):
+            if int(file.stem.removeprefix("state_")) >= len(self.times):
                 file.unlink()
         self._write_collection()
         self._write_curve()

@@ -1,10 +1,11 @@
 """Pictures, drawn from the files of a results folder and nothing else.
 
 Three pictures: `curve.png` (computed beside the reference), `snapshots.png` (shapes along the
-path) and `final.png` (the last shape, coloured). Shapes are drawn with pyvista where its
-off-screen rendering works, tried once in a process of its own because a missing OpenGL library
-can kill the process that asks; elsewhere by a painter's algorithm in matplotlib, and the picture
-says so. Set FLEXAPOD_RENDERER to ``pyvista`` or ``matplotlib`` to choose.
+path) and `final.png` (the last shape, coloured); those of a motion are in `plots_motion`. Shapes
+are drawn with pyvista where its off-screen rendering works, tried once in a process of its own
+because a missing OpenGL library can kill the process that asks; elsewhere by a painter's
+algorithm in matplotlib, and the run says so. Set FLEXAPOD_RENDERER to ``pyvista`` or
+``matplotlib`` to choose.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 
 from flexapod.app.outputs import CASE_FILE, COLLECTION_FILE, CURVE_FILE, SUMMARY_FILE, replacing
 from flexapod.core.errors import InputError
+from flexapod.core.units import read_quantity
 from flexapod.geometry.tagged import HEX_FACES, TaggedMesh
 
 # Direction from which each view looks at the body, and the direction that is up.
@@ -35,8 +37,17 @@ _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]
     "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "corner": ((0.45, -1.0, 0.42), (0.0, 0.0, 1.0)),
 }
-_BLUE, _RED, _GREY = "#1f5fa8", "#c8402a", "#8a8f98"
-_UNITS = {"deg": "°", "ml": "ml", "mm": "mm", "kPa": "kPa", "N": "N"}
+BLUE, RED, GREY = "#1f5fa8", "#c8402a", "#8a8f98"
+GREEN, PURPLE = "#2e8b57", "#8e5ea2"
+GROUND = "#dfe3e8"
+# The longer first: "speed_m_s" is in m/s, not in s.
+_UNITS = {
+    "m_s": "m/s", "kPa": "kPa", "deg": "°", "mm2": "mm²", "ml": "ml", "mm": "mm", "us": "µs",
+    "N": "N", "J": "J", "s": "s",
+}  # fmt: skip
+
+# Screen axes, bounds of the picture on them, low and high, and the middle of what is in it [m].
+Window = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 # --------------------------------------------------------------------------- reading
@@ -51,6 +62,12 @@ class Results:
     summary: dict[str, Any]
     columns: dict[str, np.ndarray]
     fields: tuple[Path, ...]
+    times: tuple[float, ...]  # of the fields: steps of a load path, seconds of a motion
+
+    @property
+    def moves(self) -> bool:
+        """Whether the case is a motion."""
+        return "dynamics" in self.case and "search" not in self.case
 
 
 def read_results(folder: Path) -> Results:
@@ -72,19 +89,31 @@ def read_results(folder: Path) -> Results:
     summary_path = folder / SUMMARY_FILE
     summary = json.loads(summary_path.read_text(encoding="utf-8")) if summary_path.is_file() else {}
     collection = folder / COLLECTION_FILE
-    names = (
-        re.findall(r'file="([^"]+)"', collection.read_text(encoding="utf-8"))
+    entries = (
+        re.findall(r'timestep="([^"]+)".*file="([^"]+)"', collection.read_text(encoding="utf-8"))
         if collection.is_file()
         else []
     )
-    return Results(folder, case, summary, columns, tuple(folder / name for name in names))
+    return Results(
+        folder,
+        case,
+        summary,
+        columns,
+        tuple(folder / name for _, name in entries),
+        tuple(float(time) for time, _ in entries),
+    )
 
 
 def cut_short(results: Results) -> bool:
-    """Whether the run ended before its last load.
+    """Whether the run ended before its last load, or before the end of its motion.
 
     A run that was stopped while its pictures were drawn is "interrupted", but has every state.
     """
+    if results.moves:
+        # By its time alone: a run that was killed left no summary.
+        interval = read_quantity(results.case["dynamics"]["interval"], "s")
+        duration = read_quantity(results.case["dynamics"]["duration"], "s")
+        return bool(results.columns["time_s"][-1] < duration - 0.5 * interval)
     if results.summary.get("status", "done") == "done":
         return False
     steps = results.columns.get("step", np.zeros(0))
@@ -146,16 +175,19 @@ def mirrored(skin: Skin, axes: Sequence[str]) -> Skin:
     return skin
 
 
-def _window(
-    skins: Sequence[Skin], view: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Screen axes (right, up, towards the eye) and the bounds all skins need."""
+def screen_axes(view: str) -> np.ndarray:
+    """Right, up and towards the eye, shape (3, 3)."""
     towards = np.array(_VIEWS[view][0])
     towards = towards / np.linalg.norm(towards)
     up = np.array(_VIEWS[view][1])
     right = np.cross(up, towards)
     right = right / np.linalg.norm(right)
-    frame = np.array([right, np.cross(towards, right), towards])
+    return np.array([right, np.cross(towards, right), towards])
+
+
+def _window(skins: Sequence[Skin], view: str) -> Window:
+    """Screen axes and the bounds all skins need."""
+    frame = screen_axes(view)
     screen = np.concatenate([skin.points[np.unique(skin.quads)] @ frame.T for skin in skins])
     return frame, screen.min(axis=0), screen.max(axis=0), np.mean(screen, axis=0)
 
@@ -187,10 +219,13 @@ def renderer() -> tuple[str, str | None]:
 
 def _draw_pyvista(
     skin: Skin,
-    window: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    window: Window,
     pixels: tuple[int, int],
     limits: tuple[float, float],
     colours: str,
+    ground: Skin | None = None,
+    lines: bool = True,
+    clear: bool = False,
 ) -> np.ndarray:
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
@@ -204,7 +239,12 @@ def _draw_pyvista(
     (surface.point_data if skin.smooth else surface.cell_data)["value"] = skin.values
     plotter = pyvista.Plotter(off_screen=True, window_size=pixels)
     plotter.set_background("white")
-    edges = len(skin.quads) < 30000
+    if ground is not None:
+        sheet = pyvista.PolyData(
+            ground.points, np.column_stack([np.full(len(ground.quads), 4), ground.quads]).ravel()
+        )
+        plotter.add_mesh(sheet, color=GROUND, ambient=0.6, diffuse=0.4, specular=0.0)
+    edges = len(skin.quads) < 30000 and lines
     plotter.add_mesh(
         surface,
         scalars="value",
@@ -231,30 +271,39 @@ def _draw_pyvista(
     )
     plotter.reset_camera_clipping_range()
     plotter.enable_anti_aliasing("ssaa")
-    image = plotter.screenshot(None, return_img=True)
+    image = plotter.screenshot(None, return_img=True, transparent_background=clear)
     plotter.close()
     return np.asarray(image)
 
 
+def _lit(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals of quads on the screen, of any length, and how light each is, 0.55 to 1."""
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    light = np.array([-0.35, 0.6, 0.72])
+    return normal, 0.55 + 0.45 * np.clip((normal @ light) / length, 0.0, 1.0)
+
+
 def _draw_matplotlib(
     skin: Skin,
-    window: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    window: Window,
     pixels: tuple[int, int],
     limits: tuple[float, float],
     colours: str,
+    ground: Skin | None = None,
+    lines: bool = True,
+    clear: bool = False,
 ) -> np.ndarray:
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
 
     frame, low, high, _ = window
     corners = skin.points[skin.quads] @ frame.T
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    normal, shade = _lit(corners)
     front = normal[:, 2] > 0.0
-    light = np.array([-0.35, 0.6, 0.72])
-    shade = 0.55 + 0.45 * np.clip((normal @ light) / length, 0.0, 1.0)
     scaled = (skin.quad_values - limits[0]) / max(limits[1] - limits[0], 1e-30)
     rgba = colormaps[colours](np.clip(scaled, 0.0, 1.0))
     rgba[:, :3] *= shade[:, None]
@@ -262,12 +311,23 @@ def _draw_matplotlib(
     order = order[np.argsort(corners[order][:, :, 2].mean(axis=1))]
     figure = Figure(figsize=(pixels[0] / 100, pixels[1] / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
+    if clear:
+        figure.patch.set_alpha(0.0)
     axes = figure.add_axes((0, 0, 1, 1))
+    if ground is not None:
+        # First, so beneath: every view that shows its face looks from above.
+        sheet = ground.points[ground.quads] @ frame.T
+        sheet = sheet[np.argsort(sheet[:, :, 2].mean(axis=1))]
+        plain = np.clip(1.2 * _lit(sheet)[1], 0.0, 1.0)[:, None] * np.array(to_rgb(GROUND))
+        axes.add_collection(
+            PolyCollection(sheet[:, :, :2], facecolors=plain, edgecolors="face", lw=0.2)
+        )
     axes.add_collection(
         PolyCollection(
             corners[order][:, :, :2],
             facecolors=rgba[order],
-            edgecolors=(0.15, 0.17, 0.2, 0.45),
+            # Without lines a gap would show between neighbours: they get the face's own colour.
+            edgecolors=(0.15, 0.17, 0.2, 0.45) if lines else "face",
             linewidths=0.2,
         )
     )
@@ -279,38 +339,68 @@ def _draw_matplotlib(
     axes.set_ylim(centre[1] - half, centre[1] + half)
     axes.set_axis_off()
     canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+    return np.asarray(canvas.buffer_rgba())[:, :, : 4 if clear else 3].copy()
+
+
+def draw_clear(
+    skin: Skin,
+    window: Window,
+    pixels: tuple[int, int],
+    limits: tuple[float, float],
+    colours: str,
+    lines: bool,
+) -> np.ndarray:
+    """Draw a skin on nothing, to be laid over a scene; shape (height, width, 4), 0 to 255.
+
+    The window's ratio must be that of `pixels`; mesh lines are drawn where `lines` asks for them.
+    """
+    draw = _draw_pyvista if renderer()[0] == "pyvista" else _draw_matplotlib
+    return draw(skin, window, pixels, limits, colours, None, lines, True)
 
 
 def draw_skins(
-    skins: Sequence[Skin], view: str, width: int, limits: tuple[float, float], colours: str
+    skins: Sequence[Skin],
+    view: str,
+    width: int,
+    limits: tuple[float, float],
+    colours: str,
+    ground: Skin | None = None,
 ) -> list[np.ndarray]:
-    """Draw skins in one common window; images of shape (height, width, 3)."""
-    frame, low, high, middle = _window(skins, view)
+    """Draw skins in one common window, with a ground; images of shape (height, width, 3)."""
+    shown = skins if ground is None else [*skins, ground]
+    frame, low, high, middle = _window(shown, view)
     margin = 0.04 * float(np.max(high - low)) + 1e-9
     low, high = low - margin, high + margin
     ratio = float((high[1] - low[1]) / (high[0] - low[0]))
     pixels = (width, int(width * min(max(ratio, 0.25), 1.6)))
     draw = _draw_pyvista if renderer()[0] == "pyvista" else _draw_matplotlib
-    return [draw(skin, (frame, low, high, middle), pixels, limits, colours) for skin in skins]
+    window = (frame, low, high, middle)
+    return [draw(skin, window, pixels, limits, colours, ground) for skin in skins]
 
 
 # --------------------------------------------------------------------------- labels
 
 
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of a column head; the unit is empty where there is none."""
+    for unit in _UNITS:
+        name = head.removesuffix(f"_{unit}")
+        if name and name != head:
+            return name, unit
+    return head, ""
+
+
 def label(head: str) -> str:
     """Axis label of a column head: ``pressure_kPa`` becomes ``pressure [kPa]``."""
-    name, _, unit = head.rpartition("_")
-    if name and unit in _UNITS:
-        return f"{name.replace('_', ' ')} [{_UNITS[unit]}]"
-    return head.replace("_", " ")
+    name, unit = _split(head)
+    return f"{name.replace('_', ' ')} [{_UNITS[unit]}]" if unit else head.replace("_", " ")
 
 
 def amount(head: str, value: float) -> str:
     """A value with its unit for a title: ``55 kPa``, ``183°``."""
-    name, _, unit = head.rpartition("_")
+    unit = _split(head)[1]
     digits = f"{0.0 if abs(value) < 1e-9 else value:.3g}"
-    if not name or unit not in _UNITS:
+    if not unit:
         return f"{head.replace('_', ' ')} {digits}"
     return f"{digits}°" if unit == "deg" else f"{digits} {_UNITS[unit]}"
 
@@ -342,7 +432,8 @@ def _axes_names(results: Results) -> tuple[str, list[str]]:
 # --------------------------------------------------------------------------- pictures
 
 
-def _figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure [in] that keeps its parts apart."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -351,19 +442,21 @@ def _figure(width: float, height: float) -> Any:
     return figure
 
 
-def _save(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure as PNG, whole."""
     with replacing(path) as partial:
         figure.savefig(partial, format="png", dpi=160)
 
 
-def _title(results: Results) -> str:
+def title_of(results: Results) -> str:
+    """The case's title, else its name."""
     return str(results.case.get("title") or results.case.get("name") or results.folder.name)
 
 
 def plot_curve(results: Results, path: Path) -> None:
     """Computed curve beside the reference, with the error as a number."""
     x_name, y_names = _axes_names(results)
-    figure = _figure(6.4, 4.4)
+    figure = new_figure(6.4, 4.4)
     axes = figure.add_subplot()
     x = results.columns[x_name]
     reference = results.summary.get("reference") or {}
@@ -374,13 +467,13 @@ def plot_curve(results: Results, path: Path) -> None:
         name = reference["name"]
         if polynomial and len(points):
             fine = np.linspace(points.min(), points.max(), 200)
-            axes.plot(fine, np.polyval(polynomial, fine), "-", color=_RED, lw=1.4, label=name)
+            axes.plot(fine, np.polyval(polynomial, fine), "-", color=RED, lw=1.4, label=name)
             name = None
         axes.plot(
-            points, [row["measured"] for row in table], "s", ms=4.5, mfc="white", color=_RED,
+            points, [row["measured"] for row in table], "s", ms=4.5, mfc="white", color=RED,
             label=name,
         )  # fmt: skip
-    colours = [_BLUE, "#2e8b57", "#8e5ea2", _GREY]
+    colours = [BLUE, GREEN, PURPLE, GREY]
     for y_name, colour in zip(y_names, colours, strict=False):
         text = "computed" if len(y_names) == 1 else label(y_name)
         axes.plot(x, results.columns[y_name], "o-", ms=3.2, lw=1.6, color=colour, label=text)
@@ -402,37 +495,55 @@ def plot_curve(results: Results, path: Path) -> None:
         )  # fmt: skip
     axes.set_xlabel(label(x_name))
     axes.set_ylabel(label(y_names[0]) if len(y_names) == 1 else "")
-    axes.set_title(_title(results), fontsize=11)
+    axes.set_title(title_of(results), fontsize=11)
     axes.grid(True, color="#e4e7eb", lw=0.7)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.legend(frameon=False, fontsize=9, loc="upper left")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _read_skin(path: Path, colour: str, axes: Sequence[str]) -> tuple[Skin, str]:
-    """Deformed skin of a field file, and the text of its colour bar."""
-    import meshio
+class SkinReader:
+    """Reads deformed skins of field files; what all files share is worked out once."""
 
-    mesh = meshio.read(path)
-    cells = np.concatenate([block.data for block in mesh.cells if block.type == "hexahedron"])
-    shift = np.asarray(mesh.point_data["displacement"], dtype=float)
-    quads, _ = boundary_quads(cells)
-    name = {"stretch": "principal_stretches", "pressure": "pressure"}.get(colour, "")
-    if name in mesh.cell_data:
-        data = np.concatenate(mesh.cell_data[name])
-        if colour == "stretch":
-            per_cell, text = data.max(axis=1), "largest principal stretch"
+    def __init__(self, colour: str, axes: Sequence[str]) -> None:
+        self.colour = colour
+        self.axes = axes
+        self.text = ""  # of the colour bar
+        self._cells = np.zeros((0, 8), dtype=int)
+        self._used = np.zeros(0, dtype=int)
+        self._quads = np.zeros((0, 4), dtype=int)
+
+    def read(self, path: Path) -> Skin:
+        """Deformed skin of a field file."""
+        import meshio
+
+        mesh = meshio.read(path)
+        cells = np.concatenate([block.data for block in mesh.cells if block.type == "hexahedron"])
+        if not np.array_equal(cells, self._cells):
+            # Only the skin's own points: those inside would widen the colours' range.
+            used, corners = np.unique(boundary_quads(cells)[0], return_inverse=True)
+            self._cells, self._used, self._quads = cells, used, corners.reshape(-1, 4)
+        shift = np.asarray(mesh.point_data["displacement"], dtype=float)
+        name = {"stretch": "principal_stretches", "pressure": "pressure"}.get(self.colour, "")
+        if name in mesh.cell_data:
+            data = np.concatenate(mesh.cell_data[name])
+            if self.colour == "stretch":
+                per_cell, self.text = data.max(axis=1), "largest principal stretch"
+            else:
+                per_cell, self.text = data / 1000.0, "pressure in the material [kPa]"
+            values = _smooth(per_cell, cells, len(mesh.points))
         else:
-            per_cell, text = data / 1000.0, "pressure in the material [kPa]"
-        values = _smooth(per_cell, cells, len(mesh.points))
-    else:
-        values, text = 1000.0 * np.linalg.norm(shift, axis=1), "displacement [mm]"
-    # Only the skin's own points: those inside would widen the colours' range.
-    used, corners = np.unique(quads, return_inverse=True)
-    skin = Skin((mesh.points + shift)[used], corners.reshape(-1, 4), values[used])
-    return mirrored(skin, axes), text
+            values, self.text = 1000.0 * np.linalg.norm(shift, axis=1), "displacement [mm]"
+        used = self._used
+        return mirrored(Skin((mesh.points + shift)[used], self._quads, values[used]), self.axes)
+
+
+def skin_reader(results: Results) -> SkinReader:
+    """Reader of a folder's skins, with the colour and mirrors its case asks for."""
+    plot = results.case.get("plot", {})
+    return SkinReader(plot.get("colour", "stretch"), plot.get("mirror", []))
 
 
 def _smooth(per_cell: np.ndarray, cells: np.ndarray, node_count: int) -> np.ndarray:
@@ -444,13 +555,15 @@ def _smooth(per_cell: np.ndarray, cells: np.ndarray, node_count: int) -> np.ndar
     return np.asarray(total / np.maximum(count, 1.0))
 
 
-def _limits(skins: Sequence[Skin]) -> tuple[float, float]:
+def colour_limits(skins: Sequence[Skin]) -> tuple[float, float]:
+    """Range of the colours, without the few extreme values."""
     values = np.concatenate([skin.values for skin in skins])
     low, high = np.percentile(values, [0.5, 99.5])
     return float(low), float(high if high > low else low + 1.0)
 
 
-def _colour_bar(figure: Any, axes: Any, limits: tuple[float, float], text: str) -> None:
+def colour_bar(figure: Any, axes: Any, limits: tuple[float, float], text: str) -> None:
+    """Add a colour bar to the right of `axes`."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -492,18 +605,15 @@ def plot_snapshots(results: Results, path: Path) -> None:
     if not chosen:
         raise InputError("there are no fields to draw", str(results.folder))
     plot = results.case.get("plot", {})
-    pairs = [
-        _read_skin(results.fields[i], plot.get("colour", "stretch"), plot.get("mirror", []))
-        for i in chosen
-    ]
-    skins = [pair[0] for pair in pairs]
-    limits = _limits(skins)
+    reader = skin_reader(results)
+    skins = [reader.read(results.fields[i]) for i in chosen]
+    limits = colour_limits(skins)
     images = draw_skins(skins, plot.get("view", "corner"), 700, limits, "viridis")
     height, width = images[0].shape[:2]
     columns = len(images) if height > 0.8 * width else min(2, len(images))
     rows = -(-len(images) // columns)
     each = 9.0 / max(columns, 2)
-    figure = _figure(each * columns + 1.0, rows * (each * height / width + 0.35) + 0.45)
+    figure = new_figure(each * columns + 1.0, rows * (each * height / width + 0.35) + 0.45)
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.ravel():
         axes.set_axis_off()
@@ -511,9 +621,9 @@ def plot_snapshots(results: Results, path: Path) -> None:
         axes.imshow(image)
         texts = [amount(name, results.columns[name][index]) for name in [x_name, y_names[0]]]
         axes.set_title(", ".join(texts), fontsize=10)
-    _colour_bar(figure, grid.ravel().tolist(), limits, pairs[0][1])
-    figure.suptitle(_title(results), fontsize=11)
-    _save(figure, path)
+    colour_bar(figure, grid.ravel().tolist(), limits, reader.text)
+    figure.suptitle(title_of(results), fontsize=11)
+    save_figure(figure, path)
 
 
 def plot_final(results: Results, path: Path) -> None:
@@ -521,26 +631,29 @@ def plot_final(results: Results, path: Path) -> None:
     if not results.fields:
         raise InputError("there are no fields to draw", str(results.folder))
     plot = results.case.get("plot", {})
-    skin, text = _read_skin(
-        results.fields[-1], plot.get("colour", "stretch"), plot.get("mirror", [])
-    )
-    limits = _limits([skin])
+    reader = skin_reader(results)
+    skin = reader.read(results.fields[-1])
+    limits = colour_limits([skin])
     image = draw_skins([skin], plot.get("view", "corner"), 1300, limits, "viridis")[0]
     height, width = image.shape[:2]
-    figure = _figure(8.0, 7.0 * height / width + 0.5)
+    figure = new_figure(8.0, 7.0 * height / width + 0.5)
     axes = figure.add_subplot()
     axes.imshow(image)
     axes.set_axis_off()
     x_name, y_names = _axes_names(results)
     texts = [amount(name, results.columns[name][-1]) for name in [x_name, y_names[0]]]
-    axes.set_title(f"{_title(results)}: {', '.join(texts)}", fontsize=11)
-    _colour_bar(figure, axes, limits, text)
-    _save(figure, path)
+    axes.set_title(f"{title_of(results)}: {', '.join(texts)}", fontsize=11)
+    colour_bar(figure, axes, limits, reader.text)
+    save_figure(figure, path)
 
 
 def draw_all(folder: Path) -> tuple[list[Path], list[str]]:
     """Redraw every picture of a results folder; the paths, and notices about what fell short."""
     results = read_results(folder)
+    if results.moves:
+        from flexapod.app.plots_motion import draw_motion
+
+        return draw_motion(results)
     written: list[Path] = []
     notices: list[str] = []
     target = folder / "plots"
@@ -585,7 +698,7 @@ def plot_mesh(mesh: TaggedMesh, path: Path, title: str, view: str = "corner") ->
     height, width = image.shape[:2]
     used = [i + 1 for i in range(len(names)) if np.any(values == i + 1)]
     rows = -(-(len(used) + 1) // 4)
-    figure = _figure(8.0, 8.0 * height / width + 0.5 + 0.22 * rows)
+    figure = new_figure(8.0, 8.0 * height / width + 0.5 + 0.22 * rows)
     axes = figure.add_subplot()
     axes.imshow(image)
     axes.set_axis_off()
@@ -598,7 +711,7 @@ def plot_mesh(mesh: TaggedMesh, path: Path, title: str, view: str = "corner") ->
         frameon=False,
         fontsize=8,
     )
-    _save(figure, path)
+    save_figure(figure, path)
     return renderer()[1]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -85,13 +85,12 @@ def make_probes(loaded: LoadedCase, mesh: TaggedMesh) -> list[Probe]:
                     f"{spec.name}_deg", _rotation(mesh.nodes[nodes], nodes, spec.axis, spec.times)
                 )
             )
+        elif spec.type == "track":
+            nodes = _marked(mesh, spec, where)
+            for axis, letter in enumerate("xyz"):
+                probes.append(Probe(f"{spec.name}_{letter}_mm", _position(nodes, axis)))
         elif spec.type == "displacement":
-            if spec.surface is not None:
-                nodes = np.unique(surface_faces(mesh, spec.surface, f"{where}.surface"))
-            else:
-                assert spec.point is not None
-                away = np.linalg.norm(mesh.nodes - np.asarray(spec.point), axis=1)
-                nodes = np.array([int(np.argmin(away))])
+            nodes = _marked(mesh, spec, where)
             probes.append(
                 Probe(f"{spec.name}_mm", _displacement(mesh.nodes, nodes, spec.direction))
             )
@@ -103,6 +102,21 @@ def make_probes(loaded: LoadedCase, mesh: TaggedMesh) -> list[Probe]:
             probes.append(Probe(f"{spec.name}_ml", _volume(Cavity(spec.name, faces))))
     _check_heads(loaded.source, probes)
     return probes
+
+
+def _marked(mesh: TaggedMesh, spec: Any, where: str) -> np.ndarray:
+    """Nodes of a probe's surface, or the one nearest its point."""
+    if spec.surface is not None:
+        return np.unique(surface_faces(mesh, spec.surface, f"{where}.surface"))
+    away = np.linalg.norm(mesh.nodes - np.asarray(spec.point), axis=1)
+    return np.array([int(np.argmin(away))])
+
+
+def _position(nodes: np.ndarray, axis: int) -> Callable[[np.ndarray, np.ndarray, float], float]:
+    def sample(x: np.ndarray, reactions: np.ndarray, previous: float) -> float:
+        return 1000.0 * float(x[nodes, axis].mean())
+
+    return sample
 
 
 def _check_heads(source: str, probes: Sequence[Probe]) -> None:

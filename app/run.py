@@ -89,7 +89,7 @@ def _notices(say: Callable[[str], None]) -> Iterator[list[str]]:
 
 
 @contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
+def terminated_like_interrupted() -> Iterator[None]:
     """Let SIGTERM (timeout, a cluster's queue) end a run as Ctrl-C does: with its files whole.
 
     Entered after the mesh is built, because Gmsh puts the signal's default action back.
@@ -329,6 +329,14 @@ def _run(
     say: Callable[[str], None],
     notices: list[str],
 ) -> RunResult:
+    if loaded.case.dynamics is not None:
+        from flexapod.app.motion import run_motion
+        from flexapod.app.search import run_search
+
+        began = time.perf_counter()
+        run = run_motion if loaded.case.search is None else run_search
+        status, message, summary = run(loaded, out, resume, progress, say, notices)
+        return _finish(ResultsFolder(out), status, message, summary, notices, say, began)
     from flexapod.fem.static import solve_path
 
     began = time.perf_counter()
@@ -355,7 +363,7 @@ def _run(
         recorder.start()
     else:
         say(f"going on from step {start.step + start.time:.3f} of {len(parts.steps)}")
-    with _terminated_like_interrupted():
+    with terminated_like_interrupted():
         result = solve_path(
             parts.problem, parts.steps, parts.options, recorder.accept, start, on_message=say
         )
@@ -377,12 +385,25 @@ def _run(
         "folder": str(out),
     }
     folder.write_summary(summary)
-    status, message = result.status, result.message
+    return _finish(folder, result.status, result.message, summary, notices, say, began)
+
+
+def _finish(
+    folder: ResultsFolder,
+    status: Status,
+    message: str,
+    summary: dict[str, Any],
+    notices: list[str],
+    say: Callable[[str], None],
+    began: float,
+) -> RunResult:
+    """Draw the pictures of a run whose numbers are written, and say how it ended."""
+    out = folder.path
     plot_notices: list[str] = []
     try:
         from flexapod.app.plots import draw_all
 
-        with _terminated_like_interrupted():
+        with terminated_like_interrupted():
             _, plot_notices = draw_all(out)
     except Exception as error:
         # The numbers are safe on disk; a picture that fails must not turn success into failure.

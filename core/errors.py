@@ -20,6 +20,7 @@ class Status(Enum):
     SINGULAR = "the tangent matrix could not be factorised"
     STEP_TOO_SMALL = "the load increment fell below its lower limit"
     TOO_MANY_INCREMENTS = "the path needed more increments than allowed"
+    FELL_THROUGH = "a body is deeper in the ground than contact can be"
     INTERRUPTED = "the run was stopped by the user"
 
 

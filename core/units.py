@@ -225,6 +225,13 @@ Acceleration = Annotated[float, Quantity("acceleration", "m/s^2", "-9.8 m/s^2")]
 Angle = Annotated[float, Quantity("angle", "rad", "30 deg")]
 Force = Annotated[float, Quantity("force", "N", "1.5 N")]
 Area = Annotated[float, Quantity("area", "m^2", "24 mm^2", positive=True)]
+Time = Annotated[float, Quantity("time", "s", "5 ms")]
+PositiveTime = Annotated[float, Quantity("time", "s", "5 ms", positive=True)]
+Rate = Annotated[float, Quantity("rate", "1/s", "2 1/s")]
+Speed = Annotated[float, Quantity("speed", "m/s", "1 mm/s", positive=True)]
+Flow = Annotated[float, Quantity("flow", "m^3/s", "2 l/min")]
+Conductance = Annotated[float, Quantity("conductance", "m^3/s/Pa", "1 ml/s/kPa")]
+BondStiffness = Annotated[float, Quantity("stiffness per area", "Pa/m", "0.2 GPa/m", positive=True)]
 ContactStiffness = Annotated[
     float, Quantity("contact stiffness", "N/m^1.5", "97 N/mm^1.5", positive=True)
 ]

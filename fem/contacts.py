@@ -106,9 +106,9 @@ class FaceContact:
         partner = np.ascontiguousarray(partner, dtype=np.int64)
         same = surface.shape == partner.shape and bool((surface == partner).all())
         # In self-contact every point is once slave and meets its partner as a slave too.
-        self._passes = [_Pass(nodes, surface, partner, joint_gap if same else None)]
+        self._passes = [SurfacePass(nodes, surface, partner, joint_gap if same else None)]
         if not same:
-            self._passes.append(_Pass(nodes, partner, surface, None))
+            self._passes.append(SurfacePass(nodes, partner, surface, None))
         self.update(nodes)
 
     def couplings(self) -> list[np.ndarray]:
@@ -137,7 +137,7 @@ class FaceContact:
         return out
 
     def _evaluate(
-        self, p: _Pass, x: np.ndarray, residual: np.ndarray, tangent: bool
+        self, p: SurfacePass, x: np.ndarray, residual: np.ndarray, tangent: bool
     ) -> tuple[float, int]:
         if self.frozen:
             kernels.project_on_partners(
@@ -211,7 +211,7 @@ class FaceContact:
         return ContactReport(on_first, area, deepest, highest)
 
 
-class _Pass:
+class SurfacePass:
     """One surface as slave against another as master, with its work arrays."""
 
     def __init__(
@@ -234,11 +234,16 @@ class _Pass:
         self.candidates = np.full((slaves.shape[0], 1), -1, dtype=np.int32)
         self.couplings = np.empty((0, 8), dtype=np.int64)
 
-    def search(self, x: np.ndarray, depth: float, margin: float) -> None:
+    def find_candidates(self, x: np.ndarray, depth: float) -> None:
+        """List the master faces each slave face may touch at positions `x` [m]."""
         size = max(diagonals(x, faces).max(initial=0.0) for faces in (self.slaves, self.masters))
         self.candidates = candidate_faces(
             x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
         )
+
+    def search(self, x: np.ndarray, depth: float, margin: float) -> None:
+        """Candidates, partners and what they may couple, all anew."""
+        self.find_candidates(x, depth)
         kernels.find_partners(
             x,
             self.slaves,

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from flexapod.core.errors import InputError, check_positive
+from flexapod.materials.prony import Prony
 
 
 class LawParameters(NamedTuple):
@@ -53,6 +54,7 @@ class SolidMaterial:
     density: float  # [kg/m3]
     poisson: float = 0.499  # [-]; at 0.5 the volumetric term would be infinite
     name: str = "material"
+    prony: Prony | None = None  # viscous branches, felt in motion only; None: purely elastic
 
     def __post_init__(self) -> None:
         check_positive("density", self.density, "kg/m3", self.name)

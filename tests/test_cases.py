@@ -20,6 +20,7 @@ COARSE = {
     "turn": ["mesh.size=coarse"],
     "free_curl": ["mesh.size=coarse", "mesh.units=2"],
 }
+MOVING = {"roll_passive", "roll_threshold"}
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +33,26 @@ def _coarse(name: str, *more: str) -> LoadedCase:
     return load_case(name, [*COARSE.get(name, []), *more])
 
 
-@pytest.mark.parametrize("name", sorted(shipped_cases()))
+def test_moving_cases_are_known() -> None:
+    assert {n for n in shipped_cases() if load_case(n).case.dynamics is not None} == MOVING
+
+
+@pytest.mark.parametrize("name", sorted(MOVING))
+def test_everything_a_moving_case_names_exists(name: str) -> None:
+    from flexapod.app.motion import assemble_motion
+
+    loaded = load_case(name)
+    motion = assemble_motion(loaded, None, lambda text: None, settle=False)
+    make_probes(loaded, motion.mesh)
+    # Half of the robot without the parts of it that are neither silicone nor carried.
+    carried = 0.5 * sum(m.total for m in loaded.case.mass)
+    solid = motion.body.node_mass.sum()
+    assert motion.mass - motion.model.scaled_mass == pytest.approx(carried + solid, rel=1e-9)
+    assert motion.model.rigid.names == ("servo_1", "servo_2", "servo_2_mirrored")
+    assert len(motion.model.bonds) == 1
+
+
+@pytest.mark.parametrize("name", sorted(set(shipped_cases()) - MOVING))
 def test_everything_a_case_names_exists(name: str) -> None:
     loaded = _coarse(name)
     mesh = build_mesh(loaded)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from flexapod.contact.law import ContactLaw, effective_modulus, hertz_stiffness
+from flexapod.contact.law import ContactLaw, FrictionLaw, effective_modulus, hertz_stiffness
 from flexapod.core.errors import InputError
 
 
@@ -62,3 +62,64 @@ def test_papers_millimetres() -> None:
 def test_refused_values(words: dict[str, float]) -> None:
     with pytest.raises(InputError):
         ContactLaw(**{"stiffness": 1e3, **words})
+
+
+def test_papers_damping_in_millimetres() -> None:
+    # F = k d**2 + c d' d**2 with c = k/1e4, k in N/mm**1.5, d in mm and d' in mm/s.
+    k_mm, d_mm, rate_mm = 2.5, 0.4, 30.0
+    law = ContactLaw(k_mm * 1e3**1.5)
+    damping = law.damping_coefficient * (rate_mm * 1e-3) * (d_mm * 1e-3) ** 2
+    expected = k_mm / 1e4 * rate_mm * d_mm**2
+    # Round-off of a dozen operations.
+    assert damping * law.reference_area == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize(("m2", "m3"), [(1.0, 2.0), (1.5, 1.0), (2.0, 3.0)])
+def test_damping_at_other_exponents(m2: float, m3: float) -> None:
+    # The same sum in millimetres: the docstring's 1e-4 (1e3)**m2, and d**m3 over (1 mm)**m3.
+    k_mm, d_mm, rate_mm = 2.5, 0.4, 30.0
+    law = ContactLaw(
+        k_mm * 1e3**1.5,
+        damping_ratio=1e-4 * 1e3**m2,
+        damping_exponent=m2,
+        indentation_exponent=m3,
+    )
+    damping = law.damping_coefficient * (rate_mm * 1e-3) ** m2 * (d_mm * 1e-3) ** m3
+    expected = k_mm / 1e4 * rate_mm**m2 * d_mm**m3
+    assert damping * law.reference_area == pytest.approx(expected, rel=1e-13)
+
+
+def test_friction_falls_from_static_to_dynamic() -> None:
+    law = FrictionLaw(0.8, 0.5, 0.01, 0.03)
+    assert [law.coefficient(v) for v in (0.0, 0.005, 0.01)] == [0.8, 0.8, 0.8]
+    assert [law.coefficient(v) for v in (0.03, 1.0)] == [0.5, 0.5]
+    # The cubic step 3 a**2 - 2 a**3: 1/2 at the middle, 5/32 at the first quarter.
+    assert law.coefficient(0.02) == pytest.approx(0.65, rel=1e-14)
+    assert law.coefficient(0.015) == pytest.approx(0.8 - 0.3 * 5.0 / 32.0, rel=1e-14)
+    # Level at both ends: a thousandth inside, the step has moved by 3e-6 of its height.
+    assert 0.8 - law.coefficient(0.01 + 0.02e-3) < 3.1e-6 * 0.3
+    assert law.coefficient(0.03 - 0.02e-3) - 0.5 < 3.1e-6 * 0.3
+
+
+def test_constant_friction() -> None:
+    law = FrictionLaw.constant(0.4)
+    assert {law.coefficient(v) for v in (0.0, 1.2e-3, 1.0)} == {0.4}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (0.5, 0.6),
+        (0.5, -0.1),
+        (10.0, 0.5),
+        (math.nan, 0.5),
+        (0.5, math.nan),
+        (0.5, 0.4, 0.0),
+        (0.5, 0.4, 0.02, 0.02),
+        (0.5, 0.4, 0.02, 0.01),
+        (0.5, 0.4, 0.02, math.inf),
+    ],
+)
+def test_refused_friction(values: tuple[float, ...]) -> None:
+    with pytest.raises(InputError):
+        FrictionLaw(*values)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexapod.app.assemble import make_builder
-from flexapod.app.case import MeshSpec
+from flexapod.app.spec import MeshSpec
 from flexapod.core.errors import InputError
 from flexapod.geometry.blocks import Sizing, build_row, subdivide
 from flexapod.geometry.builders import BUILDERS

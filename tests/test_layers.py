@@ -13,7 +13,16 @@ from pathlib import Path
 
 import pytest
 
-FLOOR = {"core": 0, "materials": 1, "geometry": 1, "contact": 1, "fem": 2, "app": 4, "cases": 5}
+FLOOR = {
+    "core": 0,
+    "materials": 1,
+    "geometry": 1,
+    "contact": 1,
+    "fem": 2,
+    "dynamics": 3,
+    "app": 4,
+    "cases": 5,
+}
 
 # Third party: the floors (or single modules) that may import it.
 ALLOWED = {
@@ -31,10 +40,11 @@ ALLOWED = {
     "pyvista": {"app"},
     "vtkmodules": {"app"},
     "matplotlib": {"app"},
+    "PIL": {"app"},
     "pypardiso": {"fem"},
-    "numba": {"core", "materials", "contact", "fem"},
+    "numba": {"core", "materials", "contact", "fem", "dynamics"},
     "llvmlite": {"core", "materials", "contact", "fem"},
-    "scipy": {"materials", "geometry", "contact", "fem"},
+    "scipy": {"materials", "geometry", "contact", "fem", "dynamics"},
     "numpy": set(FLOOR),
 }
 # Slow or heavy to load: only inside the function that needs them.

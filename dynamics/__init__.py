@@ -1,0 +1,1 @@
+"""Explicit time integration: soft bodies, rigid bodies, contact and commands over time."""

@@ -1,0 +1,446 @@
+"""Contact over time: who may touch is looked up when motion asks for it, and kept in a history.
+
+The laws are those of the statics (`contact.law`), with the paper's damping added. A history holds
+all a contact remembers, so that a run that goes on from a checkpoint goes on with the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from flexapod.contact import ground_kernels, kernels, track_kernels
+from flexapod.contact.ground import Ground
+from flexapod.contact.law import ContactLaw
+from flexapod.core.errors import SolverError, Status
+from flexapod.dynamics import kernels as dynamics_kernels
+from flexapod.fem.contacts import SurfacePass
+
+History = dict[str, np.ndarray]
+
+# Entries of a contact's totals.
+ENERGY, STICK, AREA, DEPTH, FORCE, COUNT = 0, 1, 2, 3, slice(4, 7), 7
+
+
+class DynamicContact(Protocol):
+    """What the engine asks of a contact; its histories hold "depth", the deepest point's [m]."""
+
+    name: str
+    totals: np.ndarray  # (8,), see the indices above; of the last `add_forces`
+
+    def start(self, x: np.ndarray) -> History:
+        """History of a contact that begins at positions `x` [m]."""
+        ...
+
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
+        """Search again if motion asks for it; `travel` [m] bounds a node's way since the last."""
+        ...
+
+    def add_forces(
+        self,
+        x: np.ndarray,
+        v: np.ndarray,
+        history: History,
+        elastic: np.ndarray,
+        dissipative: np.ndarray,
+    ) -> None:
+        """Add external forces [N] of shape (node_count, 3); fills `totals`."""
+        ...
+
+    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
+        """Add to `out` (node_count,) what may come to the squared highest frequency [1/s2]."""
+        ...
+
+    def nodal_pressure(self, node_count: int) -> np.ndarray:
+        """Normal traction of the last `add_forces`, averaged to nodes [Pa]."""
+        ...
+
+
+class GroundContact:
+    """Faces on fixed ground, with friction.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3): areas are those at rest.
+    faces
+        Corner quadruples, outward, shape (face_count, 4).
+    ground
+        Plane, step or height field, with its friction.
+    law
+        Normal contact law; friction is the ground's own.
+    skin
+        Height [m] above the ground up to which faces are watched.
+    deepest
+        Penetration [m] at which the body counts as fallen through the ground.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: np.ndarray,
+        faces: np.ndarray,
+        ground: Ground,
+        law: ContactLaw,
+        skin: float = 5e-3,
+        deepest: float = 5e-3,
+    ) -> None:
+        self.name = name
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self.ground = ground
+        self.law = law
+        self.skin = skin
+        self.deepest = deepest
+        self._kind, self._params, self._heights = ground.packed()
+        count = (self.faces.shape[0], kernels.POINTS.shape[0])
+        self.areas = np.empty(count)
+        kernels.point_areas(nodes, self.faces, kernels.POINTS, self.areas)
+        self.pressure = np.zeros(count)
+        self.shear = np.zeros(count)
+        self.totals = np.zeros(8)
+
+    def start(self, x: np.ndarray) -> History:
+        """See `DynamicContact`."""
+        count = self.faces.shape[0]
+        history = {
+            "anchor": np.full((count, kernels.POINTS.shape[0], 3), np.nan),
+            "active": np.zeros(count, dtype=np.int64),
+            "count": np.zeros(1, dtype=np.int64),
+            "way": np.zeros(1),
+            "depth": np.zeros(1),
+            "pressure": np.zeros((count, kernels.POINTS.shape[0])),
+        }
+        self._search(x, history)
+        return history
+
+    def _search(self, x: np.ndarray, history: History) -> None:
+        active = history["active"]
+        count = ground_kernels.near_faces(
+            x, self.faces, self._kind, self._params, self._heights, self.skin, active
+        )
+        history["count"][0] = count
+        history["way"][0] = 0.0
+        gone = np.ones(self.faces.shape[0], dtype=bool)
+        gone[active[:count]] = False
+        history["anchor"][gone] = np.nan
+        history["pressure"][gone] = 0.0
+        self.shear[gone] = 0.0
+
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
+        """See `DynamicContact`: a face out of the skin cannot arrive before it has crossed it."""
+        history["way"][0] += travel
+        if history["way"][0] > self.skin:
+            self._search(x, history)
+
+    def add_forces(
+        self,
+        x: np.ndarray,
+        v: np.ndarray,
+        history: History,
+        elastic: np.ndarray,
+        dissipative: np.ndarray,
+    ) -> None:
+        """See `DynamicContact`."""
+        law, friction = self.law, self.ground.friction
+        ground_kernels.ground_contact(
+            x,
+            v,
+            self.faces,
+            history["active"][: history["count"][0]],
+            kernels.POINTS,
+            self.areas,
+            self._kind,
+            self._params,
+            self._heights,
+            law.traction_coefficient,
+            law.stiffness_exponent,
+            law.damping_coefficient,
+            law.damping_exponent,
+            law.indentation_exponent,
+            friction.static,
+            friction.dynamic,
+            friction.static_speed,
+            friction.dynamic_speed,
+            law.stick_stiffness,
+            history["anchor"],
+            elastic,
+            dissipative,
+            history["pressure"],
+            self.shear,
+            self.totals,
+        )
+        self.pressure = history["pressure"]
+        history["depth"][0] = self.totals[DEPTH]
+        if self.totals[DEPTH] > self.deepest:
+            at = np.unravel_index(int(self.pressure.argmax()), self.pressure.shape)[0]
+            place = x[self.faces[at]].mean(axis=0)
+            raise SolverError(
+                Status.FELL_THROUGH,
+                f"{self.name}: a face at ({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m is "
+                f"{self.totals[DEPTH] * 1e3:.3g} mm deep in the ground",
+            )
+
+    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
+        """See `DynamicContact`."""
+        law = self.law
+        pressure = history["pressure"]
+        # Damping's part of it is left in: a little careful while points sink in.
+        depth = (pressure / law.traction_coefficient) ** (1.0 / law.stiffness_exponent)
+        gap = np.where(pressure > 0.0, -depth, np.inf)
+        track_kernels.contact_rates(
+            self.faces,
+            history["active"],
+            int(history["count"][0]),
+            kernels.POINTS,
+            self.areas,
+            gap,
+            RATE_MARGIN,
+            law.traction_coefficient,
+            law.stiffness_exponent,
+            1.0,
+            inverse_mass,
+            out,
+        )
+
+    def nodal_pressure(self, node_count: int) -> np.ndarray:
+        """See `DynamicContact`."""
+        total, area = np.zeros(node_count), np.zeros(node_count)
+        kernels.nodal_average(self.faces, kernels.POINTS, self.areas, self.pressure, total, area)
+        return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+
+def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
+    """Signed distance of points (count, 3) from the ground [m]."""
+    out = np.empty(len(x))
+    dynamics_kernels.ground_gaps(np.ascontiguousarray(x), *ground.packed(), out)
+    return out
+
+
+# Deeper than now by this much [m] is the contact the stable step allows for.
+RATE_MARGIN = 2e-4
+
+
+class SurfaceContact:
+    """Faces against faces: of one body with itself, of two bodies, or of a body and rigid parts.
+
+    Three searches, each cheaper and more frequent than the one before: candidates by a tree once
+    the surfaces have moved by a third of `skin` relative to each other, partners of near points
+    without one after a tenth of it, and in every step the points that touch or nearly do. Rigid
+    motion of the whole does not count: a rolling wheel is searched no more often than one at rest.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3).
+    surface, partner
+        Corner quadruples, outward; the same array twice for self-contact.
+    law
+        Normal contact law. There is no friction between faces (the paper sets it to zero).
+    depth, margin, joint_gap
+        See `flexapod.fem.contacts.FaceContact`.
+    skin
+        Distance [m] up to which faces are watched.
+    check_every
+        Steps after which motion is looked at.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: np.ndarray,
+        surface: np.ndarray,
+        partner: np.ndarray,
+        law: ContactLaw,
+        depth: float = 1e-3,
+        margin: float = 0.3,
+        joint_gap: float = 5e-4,
+        skin: float = 1e-3,
+        check_every: int = 10,
+    ) -> None:
+        self.name = name
+        self.law = law
+        self.depth = depth
+        self.margin = margin
+        self.skin = skin
+        self.check_every = check_every
+        surface = np.ascontiguousarray(surface, dtype=np.int64)
+        partner = np.ascontiguousarray(partner, dtype=np.int64)
+        same = surface.shape == partner.shape and bool((surface == partner).all())
+        self.passes = [SurfacePass(nodes, surface, partner, joint_gap if same else None)]
+        if not same:
+            self.passes.append(SurfacePass(nodes, partner, surface, None))
+        self.watched = np.unique(np.concatenate([surface.ravel(), partner.ravel()]))
+        self.totals = np.zeros(8)
+        self._partial = np.zeros(8)
+
+    def start(self, x: np.ndarray) -> History:
+        """See `DynamicContact`."""
+        history: History = {
+            "x": np.array(x[self.watched]),
+            "x_near": np.array(x[self.watched]),
+            "age": np.zeros(1, dtype=np.int64),
+            "depth": np.zeros(1),
+        }
+        for k, p in enumerate(self.passes):
+            count = p.slaves.shape[0]
+            history[f"candidates{k}"] = np.full((count, 1), -1, dtype=np.int32)
+            history[f"near{k}"] = np.zeros(count, dtype=np.int64)
+            history[f"count{k}"] = np.zeros(1, dtype=np.int64)
+            for key in ("partner", "local", "gap", "fade"):
+                history[f"{key}{k}"] = np.array(getattr(p, key))
+        self._search(x, history, first=True)
+        return history
+
+    def _search(self, x: np.ndarray, history: History, first: bool = False) -> None:
+        """Candidates and near faces anew; points keep their partners, but for the first time."""
+        for k, p in enumerate(self.passes):
+            near = np.zeros(p.slaves.shape[0], dtype=np.int64)
+            if first:
+                p.search(x, self.depth, self.margin)
+                for key in ("partner", "local", "gap", "fade"):
+                    history[f"{key}{k}"][:] = getattr(p, key)
+            else:
+                p.find_candidates(x, self.depth)
+            history[f"candidates{k}"] = p.candidates
+            # A point may slide in over a rim by the skin: half a face, about, and more is rare.
+            track_kernels.mark_near(
+                x,
+                p.slaves,
+                kernels.POINTS,
+                p.masters,
+                p.candidates,
+                self.depth,
+                self.skin,
+                self.margin + 0.5,
+                near,
+            )
+            near[(history[f"gap{k}"] < 0.0).any(axis=1)] = 1
+            listed = np.flatnonzero(near)
+            history[f"near{k}"][: listed.size] = listed
+            history[f"count{k}"][0] = listed.size
+            far = near == 0
+            history[f"partner{k}"][far] = -1
+            history[f"gap{k}"][far] = np.inf
+            history[f"fade{k}"][far] = 0.0
+            p.pressure[far] = 0.0
+        history["x"][:] = x[self.watched]
+        history["x_near"][:] = history["x"]
+
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
+        """See `DynamicContact`."""
+        history["age"][0] += 1
+        anew = False
+        if history["age"][0] % self.check_every == 0:
+            now = x[self.watched]
+            if _relative_motion(history["x"], now) > self.skin / 3.0:
+                self._search(x, history)
+                anew = True
+            elif _relative_motion(history["x_near"], now) > self.skin / 10.0:
+                history["x_near"][:] = now
+                anew = True
+        for k, p in enumerate(self.passes):
+            track_kernels.track_partners(
+                x,
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.masters,
+                history[f"candidates{k}"],
+                self.depth,
+                self.margin,
+                anew,
+                0.2 * self.skin,
+                0.15 * self.skin,
+                history[f"partner{k}"],
+                history[f"local{k}"],
+                history[f"gap{k}"],
+                history[f"fade{k}"],
+            )
+
+    def add_forces(
+        self,
+        x: np.ndarray,
+        v: np.ndarray,
+        history: History,
+        elastic: np.ndarray,
+        dissipative: np.ndarray,
+    ) -> None:
+        """See `DynamicContact`; `totals` holds the force on the first surface."""
+        law = self.law
+        self.totals[:] = 0.0
+        for k, p in enumerate(self.passes):
+            self._partial[:] = 0.0
+            track_kernels.pair_forces(
+                x,
+                v,
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.areas,
+                p.masters,
+                history[f"partner{k}"],
+                history[f"local{k}"],
+                history[f"gap{k}"],
+                history[f"fade{k}"],
+                law.traction_coefficient,
+                law.stiffness_exponent,
+                law.damping_coefficient,
+                law.damping_exponent,
+                law.indentation_exponent,
+                0.5,
+                elastic,
+                dissipative,
+                p.pressure,
+                self._partial,
+            )
+            self.totals[ENERGY] += self._partial[0]
+            self.totals[AREA] += self._partial[1]
+            self.totals[DEPTH] = max(self.totals[DEPTH], self._partial[2])
+            self.totals[FORCE] += self._partial[3:6] if k == 0 else -self._partial[3:6]
+            self.totals[COUNT] += self._partial[6]
+        history["depth"][0] = self.totals[DEPTH]
+
+    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
+        """See `DynamicContact`."""
+        law = self.law
+        for k, p in enumerate(self.passes):
+            track_kernels.contact_rates(
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.areas,
+                history[f"gap{k}"],
+                RATE_MARGIN,
+                law.traction_coefficient,
+                law.stiffness_exponent,
+                2.0,
+                inverse_mass,
+                out,
+            )
+
+    def nodal_pressure(self, node_count: int) -> np.ndarray:
+        """See `DynamicContact`."""
+        total, area = np.zeros(node_count), np.zeros(node_count)
+        for p in self.passes:
+            kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
+        return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+
+def _relative_motion(before: np.ndarray, now: np.ndarray) -> float:
+    """Largest way of a point [m] beyond the rigid motion that fits all of them best."""
+    centre_before, centre_now = before.mean(axis=0), now.mean(axis=0)
+    a, b = before - centre_before, now - centre_now
+    left, _, right = np.linalg.svd(a.T @ b)
+    turn = left @ right
+    if np.linalg.det(turn) < 0.0:
+        left[:, -1] *= -1.0
+        turn = left @ right
+    return float(np.sqrt(((b - a @ turn) ** 2).sum(axis=1).max(initial=0.0)))

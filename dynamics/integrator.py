@@ -1,0 +1,600 @@
+"""The explicit integrator: stable step, one step, and the loop over control intervals.
+
+Central difference with lumped mass (leapfrog): positions at whole steps, velocities at half
+steps. Between two control intervals the step is constant and divides the interval evenly, so
+time is counted in integers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexapod.core.errors import InputError, SolverError, Status, check_positive
+from flexapod.dynamics import kernels, rigid_kernels
+from flexapod.dynamics.contacts import DEPTH, ENERGY, RATE_MARGIN, STICK
+from flexapod.dynamics.model import Model, State
+from flexapod.fem import kernels as fem_kernels
+
+# Entries of the works of a kick and of a state; a kick's last is its largest squared speed.
+INTERNAL, PRESSURE, DISSIPATIVE, MASS_DAMPING, VISCOUS, BROKEN = 1, 2, 3, 4, 5, 6
+FASTEST = 6
+WORKS = slice(1, 6)
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Where the energy is at one time, and what came and went since the start [J]."""
+
+    kinetic: float
+    strain: float
+    weight: float
+    contact: float
+    bond: float
+    pressure_work: float
+    contact_loss: float
+    mass_damping_loss: float
+    internal_loss: float
+    viscous_loss: float
+    bond_loss: float
+    start: float
+
+    @property
+    def stored(self) -> float:
+        """Kinetic and potential energy."""
+        return self.kinetic + self.strain + self.weight + self.contact + self.bond
+
+    @property
+    def unaccounted(self) -> float:
+        """What the sum of all entries fails to explain."""
+        losses = (
+            self.contact_loss
+            + self.mass_damping_loss
+            + self.internal_loss
+            + self.viscous_loss
+            + self.bond_loss
+        )
+        return self.stored - self.start - self.pressure_work + losses
+
+
+class Workspace:
+    """Arrays of one run that are written anew in every step: nothing is allocated inside it."""
+
+    def __init__(self, model: Model) -> None:
+        shape = model.nodes.shape
+        self.internal = np.zeros(shape)
+        self.pressure = np.zeros(shape)
+        self.elastic = np.zeros(shape)
+        self.dissipative = np.zeros(shape)
+        self.total = np.zeros(shape)
+        self.shifted = np.zeros(shape)
+        self.face_force = np.zeros((model.faces.shape[0], 4, 3))
+        self.viscous = np.zeros(shape)
+        self.parts = np.zeros((kernels.PARTS, 7))
+        self.sums = np.zeros(7)
+        self.load = np.zeros((len(model.rigid.names), 6))
+        self.rigid_before = np.zeros((len(model.rigid.names), 3))
+        self.owned_before = np.zeros((model.owned.size, 3))
+        self.chamber_pressure = np.zeros(len(model.chambers))
+        self.chamber_volume = np.zeros(len(model.chambers))
+        self.bond_totals = np.zeros((len(model.bonds), 5))
+        self.strain_energy = 0.0
+        self.kinetic = 0.0
+        self.rates = np.zeros(model.soft_cells.size)
+        self.extra = np.zeros(shape[0])
+        # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
+        self.inverse_mass = 1.0 / model.mass
+        self.tangents = np.empty((0, fem_kernels.PAIR_COUNT, 3, 3))
+        self.cell_pressure = np.zeros(model.soft_cells.size)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How time is walked through.
+
+    Attributes
+    ----------
+    interval
+        Control interval [s]: pressures of pumps, the stable step and outputs go by it.
+    safety
+        Step over the stable step's bound at the interval's start, for what happens within the
+        interval. The bound itself is 10 to 25 % below the true limit on common meshes.
+    time_step
+        A fixed step [s]; refused where it is not stable. None follows the stable step.
+    """
+
+    interval: float = 5e-3
+    safety: float = 0.9
+    time_step: float | None = None
+
+    def __post_init__(self) -> None:
+        check_positive("interval", self.interval, "s")
+        if not 0.0 < self.safety <= 1.0:
+            raise InputError(f"safety must lie in (0, 1], got {self.safety:g}")
+        if self.time_step is not None:
+            check_positive("time_step", self.time_step, "s")
+
+
+def highest_frequency(model: Model, state: State, work: Workspace) -> float:
+    """Upper bound of the highest angular frequency at the current state [rad/s].
+
+    Per element from its current tangent, and from the contact its nodes are in.
+    """
+    work.extra[:] = 0.0
+    for contact, history in zip(model.contacts, state.histories, strict=True):
+        contact.add_rates(history, work.inverse_mass, work.extra)
+    for bond, whole in zip(model.bonds, state.whole, strict=True):
+        if whole:
+            for side in range(2):
+                nodes = bond.pairs[:, side]
+                np.add.at(work.extra, nodes, 2.0 * bond.stiffness * work.inverse_mass[nodes])
+    square = float(work.extra.max(initial=0.0))
+    body = model.body
+    if model.internal is not None and body is not None:
+        if not work.tangents.size:
+            work.tangents = np.empty((model.soft_cells.size, fem_kernels.PAIR_COUNT, 3, 3))
+        u = state.u[: model.mesh_node_count]
+        fem_kernels.predict_pressure(
+            u,
+            np.zeros_like(u),
+            model.cells,
+            model.gradients,
+            model.weights,
+            model.cell_material,
+            body.kappa,
+            work.cell_pressure,
+        )
+        fem_kernels.element_tangents(
+            u,
+            model.cells,
+            model.gradients,
+            model.weights,
+            model.cell_material,
+            body.mu,
+            body.alpha,
+            body.c,
+            body.kappa_point,
+            body.kappa,
+            work.cell_pressure,
+            work.tangents,
+        )
+        kernels.element_rates(
+            work.tangents,
+            fem_kernels.PAIR_OF,
+            model.cells,
+            model.element_mass,
+            work.extra,
+            work.rates,
+        )
+        # Branches that have no time to relax stiffen the deviatoric part; the bound takes all.
+        stiffening = 1.0 if model.viscous is None else float(model.viscous.stiffening.max())
+        square = max(square, stiffening * float(work.rates.max()))
+    return math.sqrt(square)
+
+
+def stable_step(omega: float, model: Model) -> float:
+    """Stable step [s] of central differences at the highest frequency `omega`, with its damping."""
+    if omega == 0.0:
+        return math.inf
+    ratio = model.damping.stiffness + 0.5 * model.damping.mass / omega
+    return 2.0 / omega * (math.sqrt(1.0 + ratio * ratio) - ratio)
+
+
+def scale_mass(model: Model, state: State, work: Workspace, target: float) -> float:
+    """Selective mass scaling: make heavier the elements whose own step is below `target` [s].
+
+    Returns the mass added [kg], which `model.scaled_mass` keeps.
+    """
+    highest_frequency(model, state, work)
+    wanted = (2.0 / target) ** 2
+    factor = np.maximum(work.rates / wanted - 1.0, 0.0)
+    added = factor[:, None] * model.element_mass
+    # Nodes of rigid bodies are as heavy as these.
+    added[model.owner[model.cells] >= 0] = 0.0
+    total = np.bincount(model.cells.ravel(), weights=added.ravel(), minlength=model.node_count)
+    model.mass += total
+    model.scaled_mass += float(total.sum())
+    # Each element keeps what it was given: shared out by volume it would go to its neighbours.
+    model.element_mass += added
+    work.inverse_mass = 1.0 / model.mass
+    return float(total.sum())
+
+
+def evaluate(model: Model, state: State, work: Workspace) -> None:
+    """Forces of everything at the state's positions."""
+    count = model.mesh_node_count
+    if model.internal is not None:
+        u = state.u
+        if model.damping.stiffness > 0.0 and state.omega > 0.0:
+            lag = 2.0 * model.damping.stiffness / state.omega
+            kernels.shifted(state.u, state.v, lag, work.shifted)
+            u = work.shifted
+        work.strain_energy = model.internal(u[:count], work.internal[:count])
+        if not math.isfinite(work.strain_energy):
+            _name_inverted(model, state)
+        if model.viscous is not None:
+            model.viscous.force(state.u[:count], state.dt_before, work.viscous[:count])
+    if model.chambers:
+        for k, chamber in enumerate(model.chambers):
+            work.chamber_pressure[k] = chamber.command.pressure(
+                state.time, float(work.chamber_volume[k]), float(state.gas[k])
+            )
+        kernels.face_pressure(
+            state.x, model.faces, model.face_chamber, work.chamber_pressure, work.face_force
+        )
+        kernels.gather_faces(
+            work.face_force, model.face_nodes, model.face_start, model.face_entry, work.pressure
+        )
+    work.elastic[:] = 0.0
+    work.dissipative[:] = 0.0
+    for contact, history in zip(model.contacts, state.histories, strict=True):
+        contact.prepare(state.x, history, state.travel)
+        contact.add_forces(state.x, state.v, history, work.elastic, work.dissipative)
+    for k, bond in enumerate(model.bonds):
+        if not state.whole[k]:
+            work.bond_totals[k] = 0.0
+            continue
+        totals = work.bond_totals[k]
+        kernels.bond_forces(
+            state.x,
+            state.v,
+            bond.pairs,
+            bond.stiffness,
+            bond.length,
+            bond.damping,
+            work.elastic,
+            work.dissipative,
+            totals,
+        )
+        if math.sqrt(totals[1] ** 2 + totals[2] ** 2 + totals[3] ** 2) > bond.strength:
+            # It opens from the next step on; what its springs hold is lost then.
+            state.whole[k] = False
+            state.works[BROKEN] += totals[0]
+
+
+def _name_inverted(model: Model, state: State) -> None:
+    assert model.internal is not None
+    bad = int(np.argmin(model.internal.least_j))
+    cell = int(model.soft_cells[bad])
+    place = state.x[model.cells[bad]].mean(axis=0)
+    raise SolverError(
+        Status.INVERTED_ELEMENT,
+        f"at {state.time:.6g} s element {cell} at ({place[0]:.4g}, {place[1]:.4g}, "
+        f"{place[2]:.4g}) m has the volume ratio {model.internal.least_j[bad]:.3g}",
+    )
+
+
+def kick(model: Model, state: State, work: Workspace, h: float) -> None:
+    """Advance all velocities by `h` [s]; `work.sums` holds the works of the kick."""
+    rigid = model.rigid
+    if model.owned.size:
+        np.take(state.v, model.owned, axis=0, out=work.owned_before)
+    kernels.kick(
+        h,
+        model.damping.mass,
+        model.gravity,
+        model.mass,
+        model.owner,
+        model.fixed,
+        work.internal,
+        work.pressure,
+        work.elastic,
+        work.dissipative,
+        work.viscous,
+        state.v,
+        work.total,
+        work.parts,
+    )
+    kernels.add_parts(work.parts, work.sums)
+    work.kinetic = float(work.sums[0])
+    if rigid.names:
+        before = rigid_kernels.kinetic(
+            rigid.mass, rigid.inertia, rigid.free, state.rigid_q, state.rigid_v, state.rigid_l
+        )
+        rigid_kernels.sum_loads(
+            state.x, work.total, model.owned, model.owner, state.rigid_x, work.load
+        )
+        work.rigid_before[:] = state.rigid_v
+        slow = model.damping.mass
+        work.load[:, :3] += rigid.mass[:, None] * (model.gravity - slow * state.rigid_v)
+        work.load[:, 3:] -= slow * state.rigid_l
+        moving = 0.5 * float((rigid.mass[:, None] * state.rigid_v**2).sum())
+        rigid_kernels.kick(
+            h,
+            work.load,
+            rigid.mass,
+            rigid.inertia,
+            rigid.free,
+            state.rigid_q,
+            state.rigid_v,
+            state.rigid_l,
+        )
+        after = rigid_kernels.kinetic(
+            rigid.mass, rigid.inertia, rigid.free, state.rigid_q, state.rigid_v, state.rigid_l
+        )
+        work.kinetic += 0.5 * (before + after)
+        mean = 0.5 * (work.rigid_before + state.rigid_v)
+        # L . omega is twice the energy of the spin.
+        power = float((rigid.mass[:, None] * work.rigid_before * mean).sum())
+        work.sums[MASS_DAMPING] -= h * slow * (power + 2.0 * (before - moving))
+        place_owned(model, state)
+        kernels.owned_work(
+            h,
+            model.owned,
+            work.owned_before,
+            state.v,
+            work.internal,
+            work.pressure,
+            work.dissipative,
+            work.viscous,
+            work.sums,
+        )
+    if not math.isfinite(work.kinetic):
+        bad = np.flatnonzero(~np.isfinite(state.v).all(axis=1))
+        place = state.x[bad[0]] if bad.size else np.full(3, np.nan)
+        raise SolverError(
+            Status.NOT_FINITE,
+            f"at {state.time:.6g} s the velocity of node {int(bad[0]) if bad.size else -1} at "
+            f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m became NaN or infinite; the step "
+            f"was {state.dt_before:.3g} s",
+        )
+
+
+def place_owned(model: Model, state: State) -> None:
+    """Put the nodes of rigid bodies where their bodies are."""
+    rigid_kernels.place(
+        model.owned,
+        model.owner,
+        model.local,
+        model.rigid.inertia,
+        model.rigid.free,
+        state.rigid_x,
+        state.rigid_q,
+        state.rigid_v,
+        state.rigid_l,
+        state.x,
+        state.v,
+    )
+
+
+def drift(model: Model, state: State, work: Workspace, dt: float) -> None:
+    """Advance all positions by `dt` [s]."""
+    rigid = model.rigid
+    kernels.drift(dt, model.owner, model.nodes, state.v, state.u, state.x)
+    if rigid.names:
+        rigid_kernels.drift(
+            dt,
+            rigid.mass,
+            rigid.inertia,
+            rigid.free,
+            state.rigid_x,
+            state.rigid_q,
+            state.rigid_v,
+            state.rigid_l,
+        )
+        place_owned(model, state)
+        kernels.owned_displacement(model.owned, model.nodes, state.x, state.u)
+    state.travel = math.sqrt(work.sums[FASTEST]) * dt
+    state.step_count += 1
+    state.dt_before = dt
+
+
+def last_record(model: Model, state: State, work: Workspace, record: Callable[[], None]) -> None:
+    """Call `record` with forces and energies at the state's own time; the state stays as it is."""
+    held = [{key: value.copy() for key, value in h.items()} for h in state.histories]
+    kept = {n: getattr(state, n).copy() for n in ("v", "rigid_v", "rigid_l", "works", "whole")}
+    evaluate(model, state, work)
+    kick(model, state, work, 0.5 * state.dt_before)
+    # The velocity at a whole step is half a kick away: no mean is to be taken of it.
+    kinetic = kinetic_energy(model, state)
+    work.kinetic = kinetic
+    state.works[WORKS] += work.sums[WORKS]
+    record()
+    for name, value in kept.items():
+        setattr(state, name, value)
+    place_owned(model, state)
+    state.histories = held
+
+
+def kinetic_energy(model: Model, state: State) -> float:
+    """Kinetic energy [J] of the velocities as they are."""
+    rigid = model.rigid
+    free = model.owner < 0
+    energy = 0.5 * float((model.mass[free, None] * state.v[free] ** 2).sum())
+    if rigid.names:
+        energy += rigid_kernels.kinetic(
+            rigid.mass, rigid.inertia, rigid.free, state.rigid_q, state.rigid_v, state.rigid_l
+        )
+    return energy
+
+
+def step(
+    model: Model,
+    state: State,
+    work: Workspace,
+    dt: float,
+    record: Callable[[], None] | None = None,
+) -> None:
+    """One step of `dt` [s]; `record` is called when forces and energies at `state.time` are known.
+
+    The caller advances `state.time`.
+    """
+    first = kinetic_energy(model, state) if math.isnan(state.energy_start) else 0.0
+    evaluate(model, state, work)
+    kick(model, state, work, 0.5 * (state.dt_before + dt))
+    # Energies belong to whole steps and works to half steps: the half of this kick is before.
+    half = 0.5 * work.sums[WORKS]
+    state.works[WORKS] += half
+    if math.isnan(state.energy_start):
+        # A first kick starts from the velocity of the state's own time: nothing came before.
+        work.kinetic = first
+        state.energy_start = energies(model, state, work).stored
+        state.works[WORKS] = 0.0
+        half = work.sums[WORKS].copy()
+    if record is not None:
+        record()
+    state.works[WORKS] += half
+    drift(model, state, work, dt)
+
+
+def energies(model: Model, state: State, work: Workspace) -> Energies:
+    """The ledger at the state of the last `evaluate` and `kick`."""
+    strain = work.strain_energy
+    internal_loss = 0.0
+    if model.internal is not None and model.damping.stiffness > 0.0:
+        count = model.mesh_node_count
+        strain = model.internal(state.u[:count], work.shifted[:count])
+        # Work on the nodes is minus the strain stored and the loss.
+        internal_loss = -state.works[INTERNAL] - (strain - _start_strain(state, strain))
+    weight = kernels.potential_of_weight(model.mass, model.owner, model.gravity, state.x)
+    weight -= float((model.rigid.mass[:, None] * state.rigid_x * model.gravity).sum())
+    # What sticking points hold elastically comes back: it is stored, not lost.
+    stuck = sum(float(c.totals[STICK]) for c in model.contacts)
+    contact = stuck + sum(float(c.totals[ENERGY]) for c in model.contacts)
+    return Energies(
+        kinetic=work.kinetic,
+        strain=strain,
+        weight=weight,
+        contact=contact,
+        bond=float(work.bond_totals[:, 0].sum()),
+        pressure_work=float(state.works[PRESSURE]),
+        contact_loss=-float(state.works[DISSIPATIVE]) - stuck,
+        mass_damping_loss=-float(state.works[MASS_DAMPING]),
+        internal_loss=internal_loss,
+        # Of what the branches took some is stored and comes back.
+        viscous_loss=-float(state.works[VISCOUS]),
+        bond_loss=float(state.works[BROKEN]),
+        start=state.energy_start,
+    )
+
+
+def _start_strain(state: State, now: float) -> float:
+    if math.isnan(state.strain_start):
+        state.strain_start = now
+    return state.strain_start
+
+
+@dataclass
+class RunStats:
+    """What a run cost."""
+
+    steps: int = 0
+    smallest_step: float = math.inf
+    largest_step: float = 0.0
+    estimates: int = 0
+    deepest: float = 0.0  # largest penetration of any contact [m]
+
+
+def march(
+    model: Model,
+    state: State,
+    work: Workspace,
+    intervals: int,
+    options: Options,
+    record: Callable[[State], None] | None = None,
+    interval_done: Callable[[State], None] | None = None,
+    stats: RunStats | None = None,
+) -> RunStats:
+    """Go on until `state.interval` is `intervals`; the state moves in place.
+
+    Parameters
+    ----------
+    record
+        Called at the first step of every interval, when all forces and energies there are known.
+    interval_done
+        Called after every interval: the place for checkpoints.
+    stats
+        Filled as the run goes, so that a run that fails has them too.
+
+    Raises
+    ------
+    InputError
+        A fixed step is not stable.
+    SolverError
+        An element turned inside out, the body fell through the ground, or a velocity is no number;
+        the state is left as it was found.
+    """
+    stats = RunStats() if stats is None else stats
+    while state.interval < intervals:
+        begin = state.interval * options.interval
+        left, first = options.interval, record
+        while left > 0.0:
+            # Almost always once: again where contact went deeper than the step was chosen for.
+            state.time = begin
+            count, allowed = _choose_step(model, state, work, options, left)
+            dt = left / count
+            stats.estimates += 1
+            stats.smallest_step = min(stats.smallest_step, dt)
+            stats.largest_step = max(stats.largest_step, dt)
+            for k in range(count):
+                state.time = begin + k * dt
+                _feed(model, state, work, dt)
+                step(model, state, work, dt, _bound(first, state))
+                first = None
+                stats.steps += 1
+                depths = [float(c.totals[DEPTH]) for c in model.contacts]
+                stats.deepest = max([stats.deepest, *depths])
+                if k < count - 1 and any(d > a for d, a in zip(depths, allowed, strict=True)):
+                    break
+            done = k + 1
+            begin += done * dt
+            left = left - done * dt if done < count else 0.0
+        state.interval += 1
+        state.time = state.interval * options.interval
+        if interval_done is not None:
+            interval_done(state)
+    return stats
+
+
+def _bound(record: Callable[[State], None] | None, state: State) -> Callable[[], None] | None:
+    return None if record is None else lambda: record(state)
+
+
+def _choose_step(
+    model: Model, state: State, work: Workspace, options: Options, left: float
+) -> tuple[int, list[float]]:
+    """Number of equal steps for the time `left` [s], and how deep each contact may go with them."""
+    state.omega = highest_frequency(model, state, work)
+    limit = stable_step(state.omega, model)
+    allowed = [float(history["depth"][0]) + RATE_MARGIN for history in state.histories]
+    if options.time_step is None:
+        return max(1, math.ceil(left / (options.safety * limit) - 1e-9)), allowed
+    if options.time_step > limit:
+        raise InputError(
+            f"the step {options.time_step:.4g} s is not stable at {state.time:.4g} s: the "
+            f"largest stable one is {limit:.4g} s; leave time_step out to follow it"
+        )
+    return max(1, math.ceil(left / options.time_step - 1e-9)), allowed
+
+
+def _feed(model: Model, state: State, work: Workspace, dt: float) -> None:
+    """Let gas flow for a step into the chambers whose pressure comes from their gas."""
+    for k, (chamber, cavity) in enumerate(zip(model.chambers, model.cavities, strict=True)):
+        if cavity is None:
+            continue
+        volume = cavity.volume(state.x)
+        work.chamber_volume[k] = volume
+        pressure = chamber.command.pressure(state.time, volume, float(state.gas[k]))
+        state.gas[k] += dt * chamber.command.flow(state.time, pressure)
+
+
+__all__ = [
+    "BROKEN",
+    "STICK",
+    "Energies",
+    "Options",
+    "RunStats",
+    "Workspace",
+    "drift",
+    "energies",
+    "evaluate",
+    "highest_frequency",
+    "kick",
+    "march",
+    "scale_mass",
+    "stable_step",
+    "step",
+]

@@ -1,0 +1,365 @@
+"""Kernels of the explicit step: pressure, kick, drift, bonds and the stable step."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from flexapod.contact.ground_kernels import gap_and_normal
+from flexapod.contact.kernels import POINTS, shape, shape_derivatives
+from flexapod.core.jit import kernel, parallel_kernel
+
+# Sums over nodes run in this many fixed parts, added in order: the same bits for any number of
+# threads.
+PARTS = 64
+
+
+@parallel_kernel
+def face_pressure(x: Any, faces: Any, chamber: Any, pressure: Any, out: Any) -> None:
+    """Nodal forces of a follower pressure on faces that look into their chambers.
+
+    `chamber` (face_count,) is the row of `pressure` [Pa]; `out` (face_count, 4, 3) receives
+    external forces [N]: ``-p * integral(N_a n da)`` by the 2x2 rule, which is exact here.
+    """
+    for f in numba.prange(faces.shape[0]):
+        n = np.empty(4)
+        d = np.empty((4, 2))
+        t = np.empty((2, 3))
+        for a in range(4):
+            for i in range(3):
+                out[f, a, i] = 0.0
+        p = pressure[chamber[f]]
+        if p == 0.0:
+            continue
+        for q in range(4):
+            shape(POINTS[q, 0], POINTS[q, 1], n)
+            shape_derivatives(POINTS[q, 0], POINTS[q, 1], d)
+            for i in range(3):
+                t[0, i] = 0.0
+                t[1, i] = 0.0
+                for a in range(4):
+                    t[0, i] += d[a, 0] * x[faces[f, a], i]
+                    t[1, i] += d[a, 1] * x[faces[f, a], i]
+            c0 = p * (t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1])
+            c1 = p * (t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2])
+            c2 = p * (t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0])
+            for a in range(4):
+                out[f, a, 0] -= n[a] * c0
+                out[f, a, 1] -= n[a] * c1
+                out[f, a, 2] -= n[a] * c2
+
+
+@parallel_kernel
+def gather_faces(face_force: Any, nodes: Any, start: Any, entry: Any, out: Any) -> None:
+    """Write the sums of `face_force` (face_count, 4, 3) at `nodes` into `out` (node_count, 3).
+
+    Node ``nodes[k]`` owns the entries ``entry[start[k]:start[k + 1]]`` of the flattened corners.
+    """
+    for k in numba.prange(nodes.shape[0]):
+        f0 = 0.0
+        f1 = 0.0
+        f2 = 0.0
+        for e in range(start[k], start[k + 1]):
+            f = entry[e] // 4
+            a = entry[e] % 4
+            f0 += face_force[f, a, 0]
+            f1 += face_force[f, a, 1]
+            f2 += face_force[f, a, 2]
+        out[nodes[k], 0] = f0
+        out[nodes[k], 1] = f1
+        out[nodes[k], 2] = f2
+
+
+@parallel_kernel
+def kick(
+    h: float,
+    damping: float,
+    gravity: Any,
+    mass: Any,
+    owner: Any,
+    fixed: Any,
+    internal: Any,
+    pressure: Any,
+    elastic: Any,
+    dissipative: Any,
+    viscous: Any,
+    v: Any,
+    total: Any,
+    parts: Any,
+) -> None:
+    """Advance the velocities of free nodes by `h` [s] and sum the work of the forces.
+
+    `damping` [1/s] acts on the mass, at the middle of the kick. `total` (node_count, 3) receives
+    the force without gravity at nodes a rigid body owns. `internal` and `viscous` are forces the
+    body resists with. `parts` (PARTS, 7) receives, per part of the nodes: kinetic energy of the
+    mean velocity [J], the work [J] of the internal forces (as forces on the nodes), of pressure,
+    of `dissipative`, of the mass damping and of `viscous`, and the largest squared speed [m2/s2].
+    """
+    count = v.shape[0]
+    for part in numba.prange(PARTS):
+        kinetic = 0.0
+        work_internal = 0.0
+        work_pressure = 0.0
+        work_dissipative = 0.0
+        work_damping = 0.0
+        work_viscous = 0.0
+        fastest = 0.0
+        for node in range(part * count // PARTS, (part + 1) * count // PARTS):
+            if owner[node] >= 0:
+                for i in range(3):
+                    total[node, i] = (
+                        pressure[node, i]
+                        + elastic[node, i]
+                        + dissipative[node, i]
+                        - internal[node, i]
+                        - viscous[node, i]
+                    )
+                continue
+            m = mass[node]
+            r = h / m
+            speed = 0.0
+            for i in range(3):
+                if fixed[node, i]:
+                    v[node, i] = 0.0
+                    continue
+                f = (
+                    pressure[node, i]
+                    + elastic[node, i]
+                    + dissipative[node, i]
+                    - internal[node, i]
+                    - viscous[node, i]
+                    + m * gravity[i]
+                )
+                before = v[node, i]
+                after = ((1.0 - 0.5 * damping * h) * before + r * f) / (1.0 + 0.5 * damping * h)
+                v[node, i] = after
+                mean = 0.5 * (before + after)
+                way = h * mean
+                kinetic += 0.5 * m * mean * mean
+                work_internal -= internal[node, i] * way
+                work_pressure += pressure[node, i] * way
+                work_dissipative += dissipative[node, i] * way
+                work_damping -= damping * m * mean * way
+                work_viscous -= viscous[node, i] * way
+                speed += after * after
+            fastest = max(fastest, speed)
+        parts[part, 0] = kinetic
+        parts[part, 1] = work_internal
+        parts[part, 2] = work_pressure
+        parts[part, 3] = work_dissipative
+        parts[part, 4] = work_damping
+        parts[part, 5] = work_viscous
+        parts[part, 6] = fastest
+
+
+@kernel
+def add_parts(parts: Any, out: Any) -> None:
+    """Add the parts of `kick` in order into `out` (7,); the last entry is the largest."""
+    for k in range(6):
+        s = 0.0
+        for p in range(parts.shape[0]):
+            s += parts[p, k]
+        out[k] = s
+    largest = 0.0
+    for p in range(parts.shape[0]):
+        largest = max(largest, parts[p, 6])
+    out[6] = largest
+
+
+@kernel
+def owned_work(
+    h: float,
+    owned: Any,
+    before: Any,
+    v: Any,
+    internal: Any,
+    pressure: Any,
+    dissipative: Any,
+    viscous: Any,
+    out: Any,
+) -> None:
+    """Add the work of forces on nodes of rigid bodies to `out` (7,), entries as of `kick`."""
+    for k in range(owned.shape[0]):
+        node = owned[k]
+        speed = 0.0
+        for i in range(3):
+            way = 0.5 * h * (before[k, i] + v[node, i])
+            out[1] -= internal[node, i] * way
+            out[2] += pressure[node, i] * way
+            out[3] += dissipative[node, i] * way
+            out[5] -= viscous[node, i] * way
+            speed += v[node, i] * v[node, i]
+        out[6] = max(out[6], speed)
+
+
+@parallel_kernel
+def drift(dt: float, owner: Any, nodes: Any, v: Any, u: Any, x: Any) -> None:
+    """Move free nodes: ``u += dt v`` and ``x = nodes + u``, all (node_count, 3)."""
+    for node in numba.prange(x.shape[0]):
+        if owner[node] >= 0:
+            continue
+        for i in range(3):
+            u[node, i] += dt * v[node, i]
+            x[node, i] = nodes[node, i] + u[node, i]
+
+
+@kernel
+def owned_displacement(owned: Any, nodes: Any, x: Any, u: Any) -> None:
+    """Write ``u = x - nodes`` at nodes of rigid bodies."""
+    for k in range(owned.shape[0]):
+        node = owned[k]
+        for i in range(3):
+            u[node, i] = x[node, i] - nodes[node, i]
+
+
+@parallel_kernel
+def shifted(u: Any, v: Any, time: float, out: Any) -> None:
+    """``out = u + time v``: where the internal force carries stiffness damping."""
+    for node in numba.prange(u.shape[0]):
+        for i in range(3):
+            out[node, i] = u[node, i] + time * v[node, i]
+
+
+@kernel
+def bond_forces(
+    x: Any,
+    v: Any,
+    pairs: Any,
+    stiffness: Any,
+    length: Any,
+    damping: float,
+    force: Any,
+    dissipative: Any,
+    totals: Any,
+) -> None:
+    """Add rods of rest `length` [m] and `stiffness` [N/m] between pairs of nodes, (pair_count,).
+
+    `damping` [s] is the ratio of dashpot to spring. `totals` (5,) receives the energy [J], the
+    resultant on the first nodes [N] (3) and the largest change of length [m].
+    """
+    for k in range(5):
+        totals[k] = 0.0
+    along = np.empty(3)
+    for k in range(pairs.shape[0]):
+        a = pairs[k, 0]
+        b = pairs[k, 1]
+        square = 0.0
+        for i in range(3):
+            along[i] = x[b, i] - x[a, i]
+            square += along[i] * along[i]
+        now = math.sqrt(square)
+        change = now - length[k]
+        totals[0] += 0.5 * stiffness[k] * change * change
+        totals[4] = max(totals[4], abs(change))
+        if now < 1e-12:
+            continue
+        rate = 0.0
+        for i in range(3):
+            along[i] /= now
+            rate += (v[b, i] - v[a, i]) * along[i]
+        s = stiffness[k] * change
+        r = damping * stiffness[k] * rate
+        for i in range(3):
+            force[a, i] += s * along[i]
+            force[b, i] -= s * along[i]
+            dissipative[a, i] += r * along[i]
+            dissipative[b, i] -= r * along[i]
+            totals[1 + i] += (s + r) * along[i]
+
+
+@parallel_kernel
+def element_rates(
+    tangents: Any, pair_of: Any, cells: Any, element_mass: Any, extra: Any, out: Any
+) -> None:
+    """Bound of the square of each element's highest frequency [1/s2], shape (cell_count,).
+
+    With ``A = M**-1/2 K M**-1/2`` of the element's own mass, ``trace(A**8)**(1/8)`` bounds the
+    largest eigenvalue from above, and by at most ``24**(1/8)``. The largest over the elements
+    bounds the assembled mesh's (B. M. Irons & G. Treharne, A bound theorem in eigenvalues and
+    its practical application, 1971). `tangents` (cell_count, 36, 3, 3) are the blocks of corner
+    pairs ``pair_of[a, b]`` with a <= b; `element_mass` (cell_count, 8) [kg] is the corners' part
+    of the nodal masses; `extra` (node_count,) [1/s2] is added at its worst corner.
+    """
+    for e in numba.prange(cells.shape[0]):
+        a = np.empty((24, 24))
+        b = np.empty((24, 24))
+        worst = 0.0
+        for p in range(8):
+            worst = max(worst, extra[cells[e, p]])
+            for q in range(p, 8):
+                scale = 1.0 / math.sqrt(element_mass[e, p] * element_mass[e, q])
+                block = pair_of[p, q]
+                for i in range(3):
+                    for j in range(3):
+                        value = scale * tangents[e, block, i, j]
+                        a[3 * p + i, 3 * q + j] = value
+                        a[3 * q + j, 3 * p + i] = value
+        largest = 0.0
+        for i in range(24):
+            for j in range(24):
+                largest = max(largest, abs(a[i, j]))
+        if not largest > 0.0:
+            out[e] = worst
+            continue
+        for i in range(24):
+            for j in range(24):
+                a[i, j] /= largest
+        for i in range(24):
+            for j in range(i, 24):
+                s = 0.0
+                for k in range(24):
+                    s += a[i, k] * a[j, k]
+                b[i, j] = s
+                b[j, i] = s
+        trace = 0.0
+        for i in range(24):
+            for j in range(i, 24):
+                s = 0.0
+                for k in range(24):
+                    s += b[i, k] * b[j, k]
+                trace += s * s if i == j else 2.0 * s * s
+        out[e] = largest * trace**0.125 + worst
+
+
+@kernel
+def potential_of_weight(mass: Any, owner: Any, gravity: Any, x: Any) -> float:
+    """``-sum m g.x`` over free nodes [J]."""
+    s = 0.0
+    for node in range(x.shape[0]):
+        if owner[node] < 0:
+            s -= mass[node] * (
+                gravity[0] * x[node, 0] + gravity[1] * x[node, 1] + gravity[2] * x[node, 2]
+            )
+    return s
+
+
+@kernel
+def momentum(mass: Any, owner: Any, x: Any, v: Any, out: Any) -> None:
+    """Fill `out` (10,): mass [kg], first moment, momentum and angular momentum about 0 (3 each)."""
+    for k in range(10):
+        out[k] = 0.0
+    for node in range(x.shape[0]):
+        if owner[node] >= 0:
+            continue
+        m = mass[node]
+        out[0] += m
+        for i in range(3):
+            out[1 + i] += m * x[node, i]
+            out[4 + i] += m * v[node, i]
+        out[7] += m * (x[node, 1] * v[node, 2] - x[node, 2] * v[node, 1])
+        out[8] += m * (x[node, 2] * v[node, 0] - x[node, 0] * v[node, 2])
+        out[9] += m * (x[node, 0] * v[node, 1] - x[node, 1] * v[node, 0])
+
+
+@kernel
+def ground_gaps(x: Any, kind: int, params: Any, heights: Any, out: Any) -> None:
+    """Signed distance of points from the ground [m], shape (count,)."""
+    p = np.empty(3)
+    normal = np.empty(3)
+    for k in range(x.shape[0]):
+        for i in range(3):
+            p[i] = x[k, i]
+        out[k] = gap_and_normal(kind, params, heights, p, normal)
