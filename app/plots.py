@@ -413,6 +413,8 @@ def _axes_names(results: Results) -> tuple[str, list[str]]:
     # What was done to the body goes along the axis: pressure, else a load that is not gravity.
     causes = [name for name in heads if name.startswith("pressure")]
     causes += [name for name in heads if name.startswith("load_") and name != "load_gravity"]
+    if "search" in results.case:
+        causes = ["value", "gone"]
     x = plot.get("x") or reference.get("x") or [*causes, "step"][0]
     if plot.get("y"):
         y = list(plot["y"])
@@ -476,7 +478,9 @@ def plot_curve(results: Results, path: Path) -> None:
     colours = [BLUE, GREEN, PURPLE, GREY]
     for y_name, colour in zip(y_names, colours, strict=False):
         text = "computed" if len(y_names) == 1 else label(y_name)
-        axes.plot(x, results.columns[y_name], "o-", ms=3.2, lw=1.6, color=colour, label=text)
+        order = np.argsort(x, kind="stable") if "search" in results.case else slice(None)
+        y = results.columns[y_name]
+        axes.plot(x[order], y[order], "o-", ms=3.2, lw=1.6, color=colour, label=text)
     error = reference.get("mean_relative_error")
     lines = []
     if error is not None:

@@ -193,6 +193,67 @@ def _smooth_step(a: float) -> float:
 
 
 @parallel_kernel
+def pick_candidates(
+    found: Any,
+    slaves: Any,
+    masters: Any,
+    slave_normal: Any,
+    master_normal: Any,
+    facing: float,
+    joined: bool,
+    joint_gap: float,
+    crease: float,
+    slave_rest: Any,
+    slave_rest_normal: Any,
+    slave_size: Any,
+    master_rest: Any,
+    master_rest_normal: Any,
+    master_size: Any,
+    out: Any,
+) -> None:
+    """Keep of the master faces `found` (slave_count, k), nearest first, those that may touch.
+
+    See `contact.search.candidate_faces`, whose rules these are; the arrays named rest belong to
+    the undeformed surfaces and count where `joined` says that both are of one body. Entries of
+    `found` beyond the masters mean none. `out` (slave_count, n) must hold -1.
+    """
+    for f in numba.prange(slaves.shape[0]):
+        count = 0
+        for k in range(found.shape[1]):
+            m = found[f, k]
+            if m >= masters.shape[0] or count == out.shape[1]:
+                break
+            cosine = 0.0
+            for i in range(3):
+                cosine += slave_normal[f, i] * master_normal[m, i]
+            if not cosine < facing:
+                continue
+            shared = False
+            for a in range(4):
+                for b in range(4):
+                    shared = shared or slaves[f, a] == masters[m, b]
+            if shared:
+                continue
+            if joined:
+                apart = 0.0
+                square = 0.0
+                cosine = 0.0
+                for i in range(3):
+                    d = slave_rest[f, i] - master_rest[m, i]
+                    apart += d * master_rest_normal[m, i]
+                    square += d * d
+                    cosine += slave_rest_normal[f, i] * master_rest_normal[m, i]
+                if not abs(apart) > joint_gap:
+                    continue
+                opposite = cosine < facing and apart > 0.0  # and not back to back on one wall
+                size = max(slave_size[f], master_size[m])
+                if not opposite and not math.sqrt(square) > crease * size:
+                    continue
+            out[f, count] = m
+            count += 1
+
+
+@parallel_kernel
 def find_partners(
     x: Any,
     slaves: Any,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -48,38 +50,42 @@ def candidate_faces(
     out = np.full((slaves.shape[0], CANDIDATE_COUNT), -1, dtype=np.int32)
     if not slaves.shape[0] or not masters.shape[0]:
         return out
-    slave_centre, slave_normal = _frames(x, slaves)
-    master_centre, master_normal = _frames(x, masters)
+    slave_frames, master_frames = _frames(x, slaves), _frames(x, masters)
     # Neighbours on the same surface are many and never partners: ask for several times more.
     count = min(5 * CANDIDATE_COUNT, masters.shape[0])
-    distance, found = cKDTree(master_centre).query(
-        slave_centre, k=count, distance_upper_bound=reach
+    _, found = cKDTree(master_frames[0]).query(slave_frames[0], k=count, distance_upper_bound=reach)
+    rest = _Rest.of(x if reference is None else reference, slaves, masters)
+    kernels.pick_candidates(
+        found.reshape(slaves.shape[0], count),
+        slaves,
+        masters,
+        slave_frames[1],
+        master_frames[1],
+        FACING_COSINE,
+        reference is not None,
+        joint_gap,
+        CREASE,
+        *rest,
+        out,
     )
-    distance = distance.reshape(slaves.shape[0], count)
-    found = found.reshape(slaves.shape[0], count)
-    valid = np.isfinite(distance)
-    index = np.where(valid, found, 0)
-    valid &= np.einsum("ski,si->sk", master_normal[index], slave_normal) < FACING_COSINE
-    shared = (masters[index][:, :, :, None] == slaves[:, None, None, :]).any(axis=(2, 3))
-    valid &= ~shared
-    if reference is not None:
-        slave_rest, slave_rest_normal = _frames(reference, slaves)
-        master_rest, master_rest_normal = _frames(reference, masters)
-        apart = np.einsum(
-            "ski,ski->sk", slave_rest[:, None] - master_rest[index], master_rest_normal[index]
-        )
-        valid &= np.abs(apart) > joint_gap
-        facing = np.einsum("ski,si->sk", master_rest_normal[index], slave_rest_normal)
-        opposite = (facing < FACING_COSINE) & (apart > 0.0)  # and not back to back on one wall
-        slave_size, master_size = diagonals(reference, slaves), diagonals(reference, masters)
-        size = np.maximum(slave_size[:, None], master_size[index])
-        far = np.linalg.norm(slave_rest[:, None] - master_rest[index], axis=2) > CREASE * size
-        valid &= opposite | far
-    # Stable partition: valid ones first, in order of distance.
-    order = np.argsort(~valid, axis=1, kind="stable")[:, :CANDIDATE_COUNT]
-    picked = np.take_along_axis(np.where(valid, found, -1), order, axis=1)
-    out[:, : picked.shape[1]] = picked
     return out
+
+
+class _Rest(NamedTuple):
+    """Centres, normals and diagonals of both surfaces at rest."""
+
+    slave_centre: np.ndarray
+    slave_normal: np.ndarray
+    slave_size: np.ndarray
+    master_centre: np.ndarray
+    master_normal: np.ndarray
+    master_size: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray, slaves: np.ndarray, masters: np.ndarray) -> _Rest:
+        return cls(
+            *_frames(x, slaves), diagonals(x, slaves), *_frames(x, masters), diagonals(x, masters)
+        )
 
 
 def diagonals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -228,7 +228,7 @@ class SurfaceContact:
 
     Three searches, each cheaper and more frequent than the one before: candidates by a tree once
     the surfaces have moved by a third of `skin` relative to each other, partners of near points
-    without one after a tenth of it, and in every step the points that touch or nearly do. Rigid
+    without one after a twentieth of it, and in every step the points that touch or nearly do. Rigid
     motion of the whole does not count: a rolling wheel is searched no more often than one at rest.
 
     Parameters
@@ -259,7 +259,7 @@ class SurfaceContact:
         depth: float = 1e-3,
         margin: float = 0.3,
         joint_gap: float = 5e-4,
-        skin: float = 1e-3,
+        skin: float = 2e-3,
         check_every: int = 10,
     ) -> None:
         self.name = name
@@ -340,7 +340,7 @@ class SurfaceContact:
             if _relative_motion(history["x"], now) > self.skin / 3.0:
                 self._search(x, history)
                 anew = True
-            elif _relative_motion(history["x_near"], now) > self.skin / 10.0:
+            elif _relative_motion(history["x_near"], now) > self.skin / 20.0:
                 history["x_near"][:] = now
                 anew = True
         for k, p in enumerate(self.passes):
@@ -355,8 +355,8 @@ class SurfaceContact:
                 self.depth,
                 self.margin,
                 anew,
-                0.2 * self.skin,
-                0.15 * self.skin,
+                0.1 * self.skin,
+                0.075 * self.skin,
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
