@@ -438,6 +438,7 @@ def _contacts(
                 SlidingWeight(name, mesh.nodes, weight, spec.normal, spec.friction, spec.slip)
             )
             continue
+        assert spec.type != "ground"  # belongs to motions; the case was checked
         faces = surface_faces(mesh, spec.surface, f"{where}.surface")
         modulus = surface_modulus(mesh, body, faces)
         if spec.type == "plane":

@@ -274,17 +274,15 @@ class Model:
         velocity
             Of the mesh's nodes [m/s]; rigid bodies start at rest, see `State`.
         """
+        rigid_x, rigid_q, rigid_v, rigid_l = self.rigid.initial_state(self.rigid_centres)
         state = State(
             u=np.zeros_like(self.nodes),
             v=np.zeros_like(self.nodes),
             x=self.nodes.copy(),
-            **dict(
-                zip(
-                    ("rigid_x", "rigid_q", "rigid_v", "rigid_l"),
-                    self.rigid.initial_state(self.rigid_centres),
-                    strict=True,
-                )
-            ),
+            rigid_x=rigid_x,
+            rigid_q=rigid_q,
+            rigid_v=rigid_v,
+            rigid_l=rigid_l,
             gas=np.zeros(len(self.chambers)),
             works=np.zeros(7),
             whole=np.ones(len(self.bonds), dtype=bool),
@@ -400,8 +398,16 @@ class State:
         arrays = {name: getattr(self, name) for name in names}
         for k, history in enumerate(self.histories):
             arrays.update({f"history{k}.{key}": value for key, value in history.items()})
-        scalars = ("interval", "step_count", "time", "dt_before", "travel", "omega", "energy_start")
-        scalars += ("strain_start",)
+        scalars = (
+            "interval",
+            "step_count",
+            "time",
+            "dt_before",
+            "travel",
+            "omega",
+            "energy_start",
+            "strain_start",
+        )
         about = {name: getattr(self, name) for name in scalars}
         return arrays, {**about, "history_count": len(self.histories)}
 
@@ -409,12 +415,11 @@ class State:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> State:
         """A state as `to_arrays` wrote it."""
         histories: list[History] = [{} for _ in range(int(about["history_count"]))]
-        plain = {}
+        plain: dict[str, Any] = {k: v for k, v in about.items() if k != "history_count"}
         for name, value in arrays.items():
             if name.startswith("history"):
                 row, key = name.removeprefix("history").split(".", 1)
                 histories[int(row)][key] = np.array(value)
             else:
                 plain[name] = np.array(value)
-        numbers = {k: v for k, v in about.items() if k != "history_count"}
-        return cls(**plain, **numbers, histories=histories)
+        return cls(**plain, histories=histories)
