@@ -138,8 +138,8 @@ def test_a_sliding_block_stops_after_v2_over_2_mu_g(size: float) -> None:
     start = state.rigid_x[0, 0]
     _go(model, state, 1.5 * speed / (mu * G), _step(size))
     # Stick springs take up mu p / k of way, less than a micrometre; rocking on the base moves load
-    # between its points. Measured 0.2 % or better.
-    assert state.rigid_x[0, 0] - start == pytest.approx(distance, rel=0.01)
+    # between its points. Measured 6e-5.
+    assert state.rigid_x[0, 0] - start == pytest.approx(distance, rel=1e-3)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.1, 0.01])
@@ -157,10 +157,11 @@ def test_a_block_slides_just_above_its_friction_angle(size: float, share: float)
     way = float((state.rigid_x[0] - start) @ along)
     free = 0.5 * G * (math.sin(angle) - mu * math.cos(angle)) * time**2
     if share > 1.0:
-        # The base rocks under the tilting moment and load moves between its points; measured X.
-        assert way == pytest.approx(free, rel=0.1)
+        # The base rocks under the tilting moment and load moves between its points; measured
+        # 2e-4, 3e-4 and 6e-4.
+        assert way == pytest.approx(free, rel=5e-3)
     else:
-        assert abs(way) < 0.01 * size
+        assert abs(way) < 1e-3 * size  # measured 1e-6 to 1.5e-5 of the size
 
 
 def test_a_cylinder_rolls_with_two_thirds_of_g_sin() -> None:
@@ -195,8 +196,9 @@ def test_a_cylinder_rolls_with_two_thirds_of_g_sin() -> None:
     _go(model, state, duration, 2e-5)
     way = float(np.linalg.norm(state.rigid_x[0] - start))
     # Steiner: 2/3 g sin(a) without slipping. The wheel of 360 flats jolts over edges 4 um high
-    # and sinks in a few; measured 0.3 %.
-    assert way == pytest.approx(0.5 * 2.0 / 3.0 * G * math.sin(angle) * duration**2, rel=0.01)
+    # and sinks in a few; measured 1e-4 and, for
+    # the speed, 7e-4.
+    assert way == pytest.approx(0.5 * 2.0 / 3.0 * G * math.sin(angle) * duration**2, rel=2e-3)
     # v = omega R, from the angular momentum about the axis. Same origin.
     omega = state.rigid_l[0, 1] / inertia[1, 1]
     assert omega * radius == pytest.approx(float(np.linalg.norm(state.rigid_v[0])), rel=0.01)
@@ -271,8 +273,8 @@ def test_restitution_of_a_dropped_block_is_the_laws() -> None:
     exact = solve_ivp(fall, (0.0, end), [height, -speed], rtol=1e-10, atol=1e-14, max_step=1e-5)
     _go(model, state, end, 1e-6)
     assert exact.y[1, -1] > 0.3  # it has come back
-    # The damping takes the velocity half a step late: first order, 2e-4 at this step.
-    assert state.rigid_v[0, 2] == pytest.approx(exact.y[1, -1], rel=2e-3)
+    # The damping takes the velocity half a step late: first order; measured 4e-6.
+    assert state.rigid_v[0, 2] == pytest.approx(exact.y[1, -1], rel=1e-4)
 
 
 def _two_blocks(gap: float = 5e-4) -> tuple[Model, SurfaceContact]:
@@ -309,7 +311,7 @@ def test_momentum_is_kept_by_contact_between_soft_bodies() -> None:
         e = energies(model, s, work)
         balance.append(e.unaccounted / max(e.kinetic, 1e-12))
 
-    march(model, state, work, 40, Options(interval=5e-4), record)
+    march(model, state, work, 40, Options(interval=5e-4, safety=0.3), record)
     momentum(model.mass, model.owner, state.x, state.v, after)
     assert max(touched) > 20.0 and touched[-1] == 0.0  # they met and parted
     # Forces are equal and opposite to the last bit: round-off of the sums alone.
@@ -317,10 +319,11 @@ def test_momentum_is_kept_by_contact_between_soft_bodies() -> None:
     # Angular momentum: the pair's forces share one line of action but for the gap between point
     # and face, along the normal: round-off too.
     assert np.abs(after[7:10] - before[7:10]).max() < 1e-11 * before[4] * 0.02
-    # The blocks did not pass through each other, and the books close: 2e-4 measured.
+    # The blocks did not pass through each other, and the books close: 3.5e-3 measured at this step
+    # (second order: 5 % at the largest stable one, which hardly resolves the blow).
     one = model.nodes[:, 0] < 0.0201
     assert state.x[one, 0].mean() < state.x[~one, 0].mean()
-    assert max(abs(b) for b in balance) < 5e-3
+    assert max(abs(b) for b in balance) < 1e-2
 
 
 def test_contact_forces_are_in_the_totals() -> None:
