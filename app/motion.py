@@ -29,7 +29,7 @@ from flexapod.app.probes import Probe, make_probes
 from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.contacts import DynamicContact
+    from flexapod.dynamics.contacts import DynamicContact, History
     from flexapod.dynamics.integrator import Energies, RunStats, Workspace
     from flexapod.dynamics.model import Bond, Model, State
     from flexapod.fem.body import SolidBody
@@ -54,7 +54,23 @@ class Motion:
     work: Workspace
     ground: Any  # the first ground; None without
     mass: float  # of everything [kg], of the modelled part
-    shape: np.ndarray  # displacements [m] before it was turned and set down, settled
+    shape: Shape  # before it was turned and set down
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """A start shape at rest.
+
+    Attributes
+    ----------
+    u
+        Displacements of the unfolded mesh [m], shape (node_count, 3).
+    histories
+        Of the contacts of faces with faces, by their name: who touches whom goes on from there.
+    """
+
+    u: np.ndarray
+    histories: dict[str, History]
 
 
 # --------------------------------------------------------------------------- start
@@ -113,7 +129,7 @@ def assemble_motion(
     start: tuple[LoadedCase, np.ndarray] | None,
     say: Say,
     settle: bool = True,
-    settled: np.ndarray | None = None,
+    settled: Shape | None = None,
 ) -> Motion:
     """Look up everything a case names and make the model and its first state.
 
@@ -161,15 +177,20 @@ def assemble_motion(
     if spec.mass_scaling is not None:
         added = scale_mass(model, model.start(u), work, spec.mass_scaling)
         say(f"mass scaling adds {added * 1e3:.3g} g")
+    shape = Shape(u, {})
     if settled is not None:
-        u = settled
+        shape = settled
     elif settle and case.start is not None and case.start.settle > 0.0:
-        u = _settle(model, u, case.start, [bond.closed for bond in case.bond], say)
+        shape = _settle(model, u, case.start, [bond.closed for bond in case.bond], say)
     for bond, shut in zip(model.bonds, case.bond, strict=True):
         if shut.closed:
             bond.length[:] = 0.0
-    shape = u
-    state = model.start(_set_down(loaded, mesh, u, ground))
+    state = model.start(_set_down(loaded, mesh, shape.u, ground))
+    for k, contact in enumerate(model.contacts):
+        if contact.name in shape.histories:
+            # Gaps do not change as the whole is turned and set down.
+            kept = shape.histories[contact.name]
+            state.histories[k] = {key: value.copy() for key, value in kept.items()}
     free = model.owner < 0
     total = float(model.mass[free].sum() + model.rigid.mass.sum())
     return Motion(mesh, body, model, state, work, ground, total, shape)
@@ -206,13 +227,14 @@ def _settle(model: Model, u: np.ndarray, spec: Any, closed: list[bool], say: Say
     say(f"settled: moved by up to {moved * 1e3:.3g} mm, {work.kinetic * 1e3:.3g} mJ left")
     for bond, totals in zip(model.bonds, work.bond_totals, strict=True):
         say(f"bond {bond.name} holds {float(np.linalg.norm(totals[1:4])):.3g} N")
-    return settled.copy()
+    touching = {c.name: h for c, h in zip(still.contacts, state.histories, strict=True)}
+    return Shape(settled.copy(), touching)
 
 
 def settled_shape(
     loaded: LoadedCase, start: tuple[LoadedCase, np.ndarray] | None, say: Say
-) -> np.ndarray:
-    """Displacements of the unfolded start shape at rest, without weight and ground [m]."""
+) -> Shape:
+    """The unfolded start shape at rest, without weight and ground."""
     return assemble_motion(loaded, start, say).shape
 
 
