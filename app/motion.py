@@ -196,8 +196,8 @@ def assemble_motion(
     return Motion(mesh, body, model, state, work, ground, total, shape)
 
 
-def _settle(model: Model, u: np.ndarray, spec: Any, closed: list[bool], say: Say) -> np.ndarray:
-    """Displacements after the shape has come to rest without weight and ground."""
+def _settle(model: Model, u: np.ndarray, spec: Any, closed: list[bool], say: Say) -> Shape:
+    """The shape after it has come to rest without weight and ground."""
     from flexapod.dynamics.contacts import GroundContact
     from flexapod.dynamics.integrator import Options, Workspace, march
     from flexapod.dynamics.model import Damping
