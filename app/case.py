@@ -152,6 +152,15 @@ def _inherit(table: dict[str, Any], path: Path) -> None:
     for key in ("mesh", "material", "mass"):
         if key not in table and key in source:
             table[key] = source[key]
+            # Their files lie beside the case they come from.
+            for item, name in ((source[key], "file"), *((i, "use") for i in _tables(source[key]))):
+                text = item.get(name) if isinstance(item, dict) else None
+                if isinstance(text, str) and (name == "file" or text.endswith(".toml")):
+                    item[name] = str((other.resolve().parent / text).resolve())
+
+
+def _tables(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def parse_case(table: Mapping[str, Any], where: str) -> Case:

@@ -20,6 +20,7 @@ from flexapod.app.assemble import (
     make_materials,
     make_supports,
     match_names,
+    modelled_fraction,
     surface_faces,
     surface_modulus,
 )
@@ -29,6 +30,7 @@ from flexapod.app.probes import Probe, make_probes
 from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
+    from flexapod.dynamics.commands import Chamber
     from flexapod.dynamics.contacts import DynamicContact, History
     from flexapod.dynamics.integrator import Energies, RunStats, Workspace
     from flexapod.dynamics.model import Bond, Model, State
@@ -107,7 +109,8 @@ def start_shape(
     folder = out / "start"
     kept = ResultsFolder.finished(folder)
     wanted = resolve(static, None)
-    if kept is None or same_case(wanted, kept):
+    old = kept is not None and kept["resolved"]["flexapod_version"] != package_version()
+    if kept is None or old or same_case(wanted, kept):
         half_done = folder.is_dir() and kept is None and (folder / "checkpoint.h5").is_file()
         say(f"start shape: case {static.name}")
         result = run_case(static, folder, resume=resume and half_done, say=say)
@@ -147,6 +150,7 @@ def assemble_motion(
     part = SolidBody(mesh, make_materials(loaded, mesh))
     carried = carried_mass(loaded, mesh, part)
     u = np.zeros_like(mesh.nodes) if start is None else start[1]
+    modelled = modelled_fraction(case.mesh)
     if u.shape != mesh.nodes.shape:
         raise InputError(f"{source}: the start shape is of another mesh")
     for axis in case.start.unfold if case.start is not None else ():
@@ -154,7 +158,15 @@ def assemble_motion(
         mesh, origin = unfold(mesh, number)
         u = unfold_vectors(u, origin, count, number)
         carried = unfold_shares(carried, origin, count)
+        modelled *= 2.0
     body = SolidBody(mesh, make_materials(loaded, mesh))
+    images = np.resize(part.material, body.cell_count)
+    if (body.material != images).any():
+        raise InputError(
+            "a material's group reaches a part of the body but not its mirror image, which is "
+            'named "..._mirrored": write a glob such as "servo_2*"',
+            f"{source}: material",
+        )
     spec = case.dynamics
     supports = make_supports(loaded, mesh)
     rigid = _rigid_bodies(loaded, mesh, body, carried, supports)
@@ -168,7 +180,7 @@ def assemble_motion(
         carried_mass=carried,
         displacements=supports,
         gravity=gravity,
-        chambers=_chambers(loaded, mesh),
+        chambers=_chambers(loaded, mesh, modelled),
         contacts=contacts,
         damping=Damping(spec.mass_damping, spec.stiffness_damping),
         bonds=_bonds(loaded, mesh, body, carried, u),
@@ -206,6 +218,10 @@ def _settle(model: Model, u: np.ndarray, spec: Any, closed: list[bool], say: Say
     still.gravity = np.zeros(3)
     still.contacts = [c for c in model.contacts if not isinstance(c, GroundContact)]
     still.damping = Damping(mass=spec.settle_damping)
+    # Drawn together by whatever it takes; what holds it then is asked below.
+    still.bonds = [dataclasses.replace(bond, strength=math.inf) for bond in model.bonds]
+    still.chambers = [_held(chamber) for chamber in model.chambers]
+    still.cavities = [None for _ in model.chambers]
     state, work = still.start(u), Workspace(still)
     intervals = max(1, math.ceil(spec.settle / 1e-3))
     closing = [bond for bond, shut in zip(model.bonds, closed, strict=True) if shut]
@@ -226,9 +242,24 @@ def _settle(model: Model, u: np.ndarray, spec: Any, closed: list[bool], say: Say
     moved = float(np.abs(settled - u).max())
     say(f"settled: moved by up to {moved * 1e3:.3g} mm, {work.kinetic * 1e3:.3g} mJ left")
     for bond, totals in zip(model.bonds, work.bond_totals, strict=True):
-        say(f"bond {bond.name} holds {float(np.linalg.norm(totals[1:4])):.3g} N")
+        force = float(np.linalg.norm(totals[1:4]))
+        say(f"bond {bond.name} holds {force:.3g} N")
+        if force > bond.strength:
+            raise InputError(
+                f"the bond {bond.name!r} would open at once: it has to hold {force:.3g} N and its "
+                f"strength is {bond.strength:.3g} N"
+            )
     touching = {c.name: h for c, h in zip(still.contacts, state.histories, strict=True)}
     return Shape(settled.copy(), touching)
+
+
+def _held(chamber: Chamber) -> Chamber:
+    """The chamber with the pressure it starts with, whatever feeds it later."""
+    from flexapod.dynamics.commands import PressureTable, Pump, Table
+
+    command = chamber.command
+    start = command.start if isinstance(command, Pump) else command.pressure(0.0, 1.0, 0.0)
+    return dataclasses.replace(chamber, command=PressureTable(Table.constant(start)))
 
 
 def settled_shape(
@@ -383,10 +414,12 @@ def _set_down(loaded: LoadedCase, mesh: TaggedMesh, u: np.ndarray, ground: Any) 
     return np.asarray(x - mesh.nodes)
 
 
-def _chambers(loaded: LoadedCase, mesh: TaggedMesh) -> list[Any]:
+def _chambers(loaded: LoadedCase, mesh: TaggedMesh, part: float) -> list[Chamber]:
+    """Chambers and what feeds them; a pump gives `part`, the modelled one, of its flow."""
     from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
 
     chambers = []
+    begun = 0.0 if loaded.case.start is None else 1.0
     for spec in loaded.case.pressure:
         where = f"{loaded.source}: pressure.{spec.name}.surface"
         faces = np.ascontiguousarray(surface_faces(mesh, spec.surface, where), dtype=np.int64)
@@ -398,9 +431,10 @@ def _chambers(loaded: LoadedCase, mesh: TaggedMesh) -> list[Any]:
             command = PressureTable(Table(times, tuple(spec.value * f for f in factors)))
         else:
             command = Pump(
-                Table(times, tuple(spec.pump.flow * max(f, 0.0) for f in factors)),
-                Table(times, tuple(spec.pump.exhaust * max(-f, 0.0) for f in factors)),
+                Table(times, tuple(part * spec.pump.flow * max(f, 0.0) for f in factors)),
+                Table(times, tuple(part * spec.pump.exhaust * max(-f, 0.0) for f in factors)),
                 stall=spec.value,
+                start=spec.pump.start if spec.pump.start is not None else begun * spec.value,
             )
         chambers.append(Chamber(spec.name, faces, command))
     return chambers
@@ -493,7 +527,7 @@ class _Recorder:
             row[f"{name}_J"] = float(getattr(energies, name))
         for contact in model.contacts:
             totals = contact.totals
-            row[f"{contact.name}_force_N"] = float(np.linalg.norm(totals[4:7]))
+            row[f"{contact.name}_force_N"] = contact.pressing()
             row[f"{contact.name}_area_mm2"] = 1e6 * float(totals[2])
             row[f"{contact.name}_depth_mm"] = 1e3 * float(totals[3])
             row[f"{contact.name}_points"] = float(totals[7])
@@ -623,15 +657,19 @@ def run_motion(
     spec = loaded.case.dynamics
     assert spec is not None
     folder = ResultsFolder.open(out, resolve(loaded, None), resume=resume)
+    going_on = resume and (out / CHECKPOINT_FILE).is_file()
     with terminated_like_interrupted():
         try:
+            # Names and laws are looked up before minutes are spent on the start shape.
+            assemble_motion(loaded, None, lambda text: None, settle=False)
             start = start_shape(loaded, out, resume, say)
-        except KeyboardInterrupt:
-            start = None
-            stopped = "stopped while the start shape was computed"
-            return Status.INTERRUPTED, stopped, _short_summary(loaded, out, began, stopped)
-    going_on = resume and (out / CHECKPOINT_FILE).is_file()
-    motion = assemble_motion(loaded, start, say, settle=not going_on)
+            motion = assemble_motion(loaded, start, say, settle=not going_on)
+        except (KeyboardInterrupt, SolverError) as error:
+            status = error.status if isinstance(error, SolverError) else Status.INTERRUPTED
+            message = str(error) or "stopped by the user before the motion began"
+            summary = _short_summary(loaded, out, began, status, message)
+            folder.write_summary(summary)
+            return status, message, summary
     recorder = _Recorder(loaded, motion, folder)
     say(f"{len(motion.mesh.cells)} hexahedra, {len(motion.mesh.nodes)} nodes")
     if resume and recorder.resume():
@@ -697,10 +735,13 @@ def _last_row(recorder: _Recorder) -> None:
     last_record(motion.model, motion.state, motion.work, lambda: recorder.record(motion.state))
 
 
-def _short_summary(loaded: LoadedCase, out: Path, began: float, text: str) -> dict[str, Any]:
+def _short_summary(
+    loaded: LoadedCase, out: Path, began: float, status: Status, text: str
+) -> dict[str, Any]:
+    """Summary of a motion that never began."""
     return {
         "case": loaded.name,
-        "status": Status.INTERRUPTED.name.lower(),
+        "status": status.name.lower(),
         "message": text,
         "version": package_version(),
         "elements": 0,

@@ -16,6 +16,7 @@ from flexapod.core.units import (
     Length,
     PositiveLength,
     PositiveTime,
+    Pressure,
     Rate,
     Speed,
     Time,
@@ -186,12 +187,29 @@ class PumpSpec(Table):
     exhaust: Conductance = Field(
         default=default_text("2 ml/s/kPa"), description="Of the open outlet."
     )
+    start: Pressure | None = Field(
+        default=None,
+        description="Pressure at the start (default: the value with a [start] shape, else none).",
+    )
 
 
 class SearchSpec(Table):
     """The value of one key at which the body begins to move away, by bisection."""
 
-    key: str = Field(description="As --set writes it, for example contact.0.slope.")
+    key: str = Field(
+        description="As --set writes it, for example contact.0.slope: of contact, gravity or "
+        "dynamics, since the start shape is computed once."
+    )
+
+    @field_validator("key")
+    @classmethod
+    def _after_the_start(cls, value: str) -> str:
+        if value.split(".")[0] not in ("contact", "gravity", "dynamics"):
+            raise ValueError(
+                f'search.key must begin with contact, gravity or dynamics, got "{value}"'
+            )
+        return value
+
     low: str = Field(description="A value, with its unit, at which it stays.")
     high: str = Field(description="A value at which it goes.")
     tolerance: str = Field(description="Width at which the search ends.")

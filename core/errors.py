@@ -21,6 +21,7 @@ class Status(Enum):
     STEP_TOO_SMALL = "the load increment fell below its lower limit"
     TOO_MANY_INCREMENTS = "the path needed more increments than allowed"
     FELL_THROUGH = "a body is deeper in the ground than contact can be"
+    UNSTABLE_STEP = "the fixed time step is no longer stable"
     INTERRUPTED = "the run was stopped by the user"
 
 
@@ -49,6 +50,7 @@ class SolverError(FlexapodError, RuntimeError):
 
     def __init__(self, status: Status, message: str) -> None:
         self.status = status
+        self.text = message
         super().__init__(f"{message} ({status.name.lower()}: {status.value})")
 
 

@@ -52,6 +52,10 @@ class DynamicContact(Protocol):
         """Add to `out` (node_count,) what may come to the squared highest frequency [1/s2]."""
         ...
 
+    def pressing(self) -> float:
+        """Normal traction of the last `add_forces`, summed over the area in touch [N]."""
+        ...
+
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """Normal traction of the last `add_forces`, averaged to nodes [Pa]."""
         ...
@@ -179,7 +183,8 @@ class GroundContact:
             place = x[self.faces[at]].mean(axis=0)
             raise SolverError(
                 Status.FELL_THROUGH,
-                f"{self.name}: a face at ({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m is "
+                f"{self.name}: the face of nodes {self.faces[at].tolist()} at ({place[0]:.4g}, "
+                f"{place[1]:.4g}, {place[2]:.4g}) m presses most, and the deepest point is "
                 f"{self.totals[DEPTH] * 1e3:.3g} mm deep in the ground",
             )
 
@@ -204,6 +209,10 @@ class GroundContact:
             inverse_mass,
             out,
         )
+
+    def pressing(self) -> float:
+        """See `DynamicContact`."""
+        return float((self.pressure * self.areas).sum())
 
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """See `DynamicContact`."""
@@ -246,7 +255,7 @@ class SurfaceContact:
     skin
         Distance [m] up to which faces are watched.
     check_every
-        Steps after which motion is looked at.
+        Steps after which motion is looked at, at the latest; sooner where anything is fast.
     """
 
     def __init__(
@@ -284,6 +293,7 @@ class SurfaceContact:
             "x": np.array(x[self.watched]),
             "x_near": np.array(x[self.watched]),
             "age": np.zeros(1, dtype=np.int64),
+            "way": np.zeros(1),
             "depth": np.zeros(1),
         }
         for k, p in enumerate(self.passes):
@@ -334,8 +344,11 @@ class SurfaceContact:
     def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
         """See `DynamicContact`."""
         history["age"][0] += 1
+        history["way"][0] += travel
         anew = False
-        if history["age"][0] % self.check_every == 0:
+        fast = history["way"][0] > self.skin / 20.0
+        if fast or history["age"][0] % self.check_every == 0:
+            history["way"][0] = 0.0
             now = x[self.watched]
             if _relative_motion(history["x"], now) > self.skin / 3.0:
                 self._search(x, history)
@@ -425,6 +438,10 @@ class SurfaceContact:
                 inverse_mass,
                 out,
             )
+
+    def pressing(self) -> float:
+        """See `DynamicContact`; both surfaces feel it, it is counted once."""
+        return 0.5 * sum(float((p.pressure * p.areas).sum()) for p in self.passes)
 
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """See `DynamicContact`."""

@@ -238,7 +238,7 @@ def bond_forces(
     """Add rods of rest `length` [m] and `stiffness` [N/m] between pairs of nodes, (pair_count,).
 
     `damping` [s] is the ratio of dashpot to spring. `totals` (5,) receives the energy [J], the
-    resultant on the first nodes [N] (3) and the largest change of length [m].
+    resultant of the stretched rods on the first nodes [N] (3) and the largest change of length [m].
     """
     for k in range(5):
         totals[k] = 0.0
@@ -267,7 +267,9 @@ def bond_forces(
             force[b, i] -= s * along[i]
             dissipative[a, i] += r * along[i]
             dissipative[b, i] -= r * along[i]
-            totals[1 + i] += (s + r) * along[i]
+            # What only props the ends apart does not open a bond.
+            if s > 0.0:
+                totals[1 + i] += (s + r) * along[i]
 
 
 @parallel_kernel

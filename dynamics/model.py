@@ -350,6 +350,9 @@ def _quaternion(turn: np.ndarray) -> np.ndarray:
 class State:
     """All that moves; enough to go on from with the same bits.
 
+    But for the history of viscous branches, which the model's `viscous` keeps: a checkpoint takes
+    that too.
+
     Attributes
     ----------
     u, x

@@ -13,7 +13,7 @@ import pytest
 from statics_helpers import grid, hold, solid
 
 from flexapod.core.errors import InputError, SolverError, Status
-from flexapod.dynamics.commands import Chamber, PressureTable, Table
+from flexapod.dynamics.commands import ATMOSPHERE, Chamber, PressureTable, Pump, Table
 from flexapod.dynamics.integrator import (
     Options,
     Workspace,
@@ -26,7 +26,7 @@ from flexapod.dynamics.integrator import (
     stable_step,
     step,
 )
-from flexapod.dynamics.model import Damping, Model, State
+from flexapod.dynamics.model import Bond, Damping, Model, State
 from flexapod.fem.loads import Displacement
 from flexapod.fem.static import StaticProblem
 from flexapod.materials.neo_hooke import NeoHooke
@@ -442,3 +442,91 @@ def test_a_viscous_block_comes_to_rest_and_its_ledger_says_where_the_energy_went
     assert max(abs(e.unaccounted) for e in kept) < 5e-3 * first.stored
     # All of it went into the branches (what they still store is gone by now). Same origin.
     assert last.viscous_loss == pytest.approx(first.stored - last.stored, rel=5e-3)
+
+
+def _tank(pump: Pump) -> tuple[Model, State, Workspace]:
+    """A cube whose outside is taken for a cavity's wall, all of it held: a tank of 1 ml."""
+    mesh = grid((2, 2, 2), lambda x: x * 0.01)
+    faces = np.concatenate([mesh.facet_groups[f"{a}{k}"] for a in "xyz" for k in (0, 1)])[:, ::-1]
+    fixed = [Displacement("h", np.arange(len(mesh.nodes)), k) for k in range(3)]
+    body = solid(mesh, NeoHooke(1e5), 0.45, 1000.0)
+    model = Model(body, displacements=fixed, chambers=[Chamber("tank", faces, pump)])
+    return model, model.start(), Workspace(model)
+
+
+def test_a_pump_fills_a_tank_in_real_seconds_and_a_valve_empties_it() -> None:
+    """Ideal gas at one temperature: dp/dt = p0 Q/V, and p0 (Q - c p)/V with an outlet."""
+    flow, volume = 1e-6, 1e-6
+    model, state, work = _tank(Pump(Table.constant(flow), start=2e3))
+    march(model, state, work, 40, Options(interval=5e-3))
+    evaluate(model, state, work)
+    # The flow is constant and the volume too: exact to round-off of the sum.
+    assert work.chamber_pressure[0] == pytest.approx(2e3 + ATMOSPHERE * flow / volume * 0.2)
+
+    outlet = 1e-10
+    model, state, work = _tank(Pump(Table.constant(0.0), Table.constant(outlet), start=20e3))
+    march(model, state, work, 40, Options(interval=5e-3))
+    evaluate(model, state, work)
+    # Forward in time with a step far below the time constant of 0.1 s.
+    left = 20e3 * math.exp(-ATMOSPHERE * outlet / volume * 0.2)
+    assert work.chamber_pressure[0] == pytest.approx(left, rel=1e-2)
+
+
+def test_a_pump_stalls_at_its_pressure() -> None:
+    model, state, work = _tank(Pump(Table.constant(1e-5), stall=30e3))
+    march(model, state, work, 100, Options(interval=5e-3))
+    evaluate(model, state, work)
+    # 15 time constants of V stall/(p0 Q) = 30 ms: e^-17.
+    assert work.chamber_pressure[0] == pytest.approx(30e3, rel=1e-5)
+
+
+def test_a_bond_holds_until_its_strength_and_then_lets_go_for_good() -> None:
+    """Two blocks on a bond, one held and one pulled down by its weight, slowly laid on."""
+
+    def hang(strength: float) -> tuple[Model, State, list[float]]:
+        one = grid((2, 2, 2), lambda x: x * 0.02)
+        count = len(one.nodes)
+        two = grid((2, 2, 2), lambda x: x * 0.02 - [0.0, 0.0, 0.02])
+        mesh = type(one)(
+            np.concatenate([one.nodes, two.nodes]), np.concatenate([one.cells, two.cells + count])
+        )
+        first = one.facet_nodes("z0")
+        second = two.facet_nodes("z1") + count
+        held = [Displacement("h", one.facet_nodes("z1"), k) for k in range(3)]
+        bond = Bond(
+            "glue",
+            np.stack([first, second], axis=1),
+            np.full(len(first), 2e3),
+            np.zeros(len(first)),
+            strength,
+            1e-4,
+        )
+        model = Model(
+            solid(mesh, NeoHooke(1e5), 0.45, 1000.0),
+            displacements=held,
+            gravity=(0.0, 0.0, -9.8),
+            bonds=[bond],
+            damping=Damping(mass=200.0),
+        )
+        state, work = model.start(), Workspace(model)
+        forces: list[float] = []
+        march(
+            model,
+            state,
+            work,
+            40,
+            Options(interval=5e-3),
+            lambda s: forces.append(float(np.linalg.norm(work.bond_totals[0, 1:4]))),
+        )
+        return model, state, forces
+
+    weight = 1000.0 * 0.02**3 * 9.8
+    model, state, forces = hang(2.0 * weight)
+    assert state.whole[0]
+    # Settled with 200/s of damping for 0.2 s; the block's own lumped mass hangs on it.
+    assert forces[-1] == pytest.approx(weight, rel=1e-2)
+    model, state, forces = hang(0.5 * weight)
+    assert not state.whole[0]
+    assert forces[-1] == 0.0
+    lower = model.nodes[:, 2] < -1e-9
+    assert state.u[lower, 2].mean() < -1e-3  # it falls, as far as the damping lets it
