@@ -160,8 +160,11 @@ def assemble_motion(
         carried = unfold_shares(carried, origin, count)
         modelled *= 2.0
     body = SolidBody(mesh, make_materials(loaded, mesh))
-    images = np.resize(part.material, body.cell_count)
-    if (body.material != images).any():
+    # Rows of materials are numbered anew: what counts is which material a row is.
+    new, old = (
+        np.array([part.materials.index(m) for m in b.materials])[b.material] for b in (body, part)
+    )
+    if (new != np.resize(old, body.cell_count)).any():
         raise InputError(
             "a material's group reaches a part of the body but not its mirror image, which is "
             'named "..._mirrored": write a glob such as "servo_2*"',
