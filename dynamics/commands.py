@@ -58,7 +58,10 @@ class Table:
 class PressureCommand(Protocol):
     """How a chamber's gauge pressure comes about."""
 
-    needs_volume: bool
+    @property
+    def needs_volume(self) -> bool:
+        """Whether the pressure follows from the chamber's volume."""
+        ...
 
     def gas(self, volume: float) -> float:
         """Gas in the chamber at the start, as its volume at atmospheric pressure [m3]."""
