@@ -183,7 +183,9 @@ class _Progress:
 
         heads = [h for h in progress.row if h != "step" and not h.startswith("load_")][:3]
         shown = ", ".join(
-            f"{h.rpartition('_')[0] or h} {amount(h, progress.row[h])}" for h in heads
+            # A head without a unit is named by `amount` itself.
+            f"{h.rpartition('_')[0]} {amount(h, progress.row[h])}".strip()
+            for h in heads
         )
         text = f"{progress.step}: {shown}"
         if self.bar is not None:
