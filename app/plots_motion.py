@@ -65,7 +65,7 @@ def read_grounds(results: Results) -> list[Ground]:
     from pydantic import ValidationError
 
     from flexapod.app.case import LoadedCase
-    from flexapod.app.motion import make_ground
+    from flexapod.app.motion_parts import make_ground
     from flexapod.app.spec_dynamics import ContactGroundSpec
 
     source = str(results.case.get("resolved", {}).get("source", ""))

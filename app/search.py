@@ -48,7 +48,7 @@ def run_search(
     The start shape is computed and settled once, for all trials. A run that goes on takes over
     the trials that are done.
     """
-    from flexapod.app.motion import assemble_motion, settled_shape, start_shape
+    from flexapod.app.motion_model import assemble_motion, settled_shape, start_shape
     from flexapod.app.run import Progress, resolve, terminated_like_interrupted
 
     began = time.perf_counter()
@@ -99,7 +99,7 @@ def run_search(
         way = [0.0, 0.0]
 
         def watch(state: Any) -> None:
-            from flexapod.app.motion import centre
+            from flexapod.app.motion_model import centre
 
             now = centre(model, state)
             if not begin:

@@ -95,13 +95,19 @@ class StartSpec(Table):
         description="Turned with the ground's slope and set down on it; else left in place.",
     )
     settle: Time = Field(
-        default=default_text("60 ms"),
+        default=default_text("100 ms"),
         description="Time in which the shape comes to rest before it is set down: without weight "
         "and ground, damped. A shape computed in part and unfolded, with servos made rigid and "
         "ends joined, is a little out of balance.",
     )
+    set_down: Time = Field(
+        default=default_text("100 ms"),
+        description="Time in which its weight is then eased on, on the ground and without its part "
+        "along the slope, so that the motion begins with the body flattened as it lies.",
+    )
     settle_damping: Rate = Field(
-        default=default_text("300 1/s"), description="Mass damping while it settles."
+        default=default_text("80 1/s"),
+        description="Mass damping in both: about critical for a soft body that bends in 10 Hz.",
     )
 
 

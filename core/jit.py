@@ -40,10 +40,12 @@ def _cache_root() -> Path:
     return root
 
 
-# Between parallel loops the other threads sleep instead of spinning. Where another program wants
-# a core too, spinning takes it from the very thread that is waited for: on two busy cores a loop
-# of 0.1 ms then took 13 ms. On a quiet machine waking them costs some microseconds.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+# Between parallel loops the other threads spin for some ten microseconds and then sleep. A step of
+# an explicit run is ten short loops, and waking a thread costs as much as such a loop. But where
+# another program wants a core too, long spinning takes it from the very thread that is waited for:
+# on two busy cores, with the usual limit of milliseconds, a loop of 0.1 ms took 13 ms.
+if not os.environ.get("OMP_WAIT_POLICY"):
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 if not os.environ.get("NUMBA_CACHE_DIR"):
     numba.config.CACHE_DIR = str(_cache_root() / _kernel_digest())

@@ -259,6 +259,7 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
             bond.pairs,
             bond.stiffness,
             bond.length,
+            bond.length_left(state.time),
             bond.damping,
             work.elastic,
             work.dissipative,

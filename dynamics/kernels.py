@@ -230,14 +230,15 @@ def bond_forces(
     pairs: Any,
     stiffness: Any,
     length: Any,
+    left: float,
     damping: float,
     force: Any,
     dissipative: Any,
     totals: Any,
 ) -> None:
-    """Add rods of rest `length` [m] and `stiffness` [N/m] between pairs of nodes, (pair_count,).
+    """Add rods between pairs of nodes, (pair_count,), of `stiffness` [N/m].
 
-    `damping` [s] is the ratio of dashpot to spring. `totals` (5,) receives the energy [J], the
+    Their rest length is the share `left` of `length` [m]. `damping` [s] is the ratio of dashpot to spring. `totals` (5,) receives the energy [J], the
     resultant of the stretched rods on the first nodes [N] (3) and the largest change of length [m].
     """
     for k in range(5):
@@ -251,7 +252,7 @@ def bond_forces(
             along[i] = x[b, i] - x[a, i]
             square += along[i] * along[i]
         now = math.sqrt(square)
-        change = now - length[k]
+        change = now - left * length[k]
         totals[0] += 0.5 * stiffness[k] * change * change
         totals[4] = max(totals[4], abs(change))
         if now < 1e-12:

@@ -60,6 +60,9 @@ class Bond:
         Resultant [N] at which it opens for good; infinite for a weld.
     damping
         Dashpot over spring [s].
+    draw_time
+        Time [s] from the start in which the rods shorten smoothly to nothing and draw the two
+        surfaces together; 0 leaves them as long as they are.
     """
 
     name: str
@@ -68,6 +71,14 @@ class Bond:
     length: np.ndarray
     strength: float = float("inf")
     damping: float = 0.0
+    draw_time: float = 0.0
+
+    def length_left(self, time: float) -> float:
+        """Share of `length` the rods have at `time` [s]."""
+        if self.draw_time == 0.0:
+            return 1.0
+        a = min(time / self.draw_time, 1.0)
+        return 1.0 - a * a * a * (10.0 + a * (6.0 * a - 15.0))
 
 
 # Rods from each node of a bond's first surface that is held with its gap: three do not lie in one
@@ -394,6 +405,14 @@ class State:
     omega: float = 0.0  # highest frequency at the last estimate [rad/s]
     energy_start: float = float("nan")  # of all energies [J]
     strain_start: float = float("nan")  # of the strain energy [J]
+
+    def begin_anew(self) -> None:
+        """Make this the start of a motion: at rest, at time zero, with an empty ledger."""
+        for array in (self.v, self.rigid_v, self.rigid_l, self.works):
+            array[:] = 0.0
+        self.interval = self.step_count = 0
+        self.time = self.dt_before = self.travel = 0.0
+        self.energy_start = self.strain_start = float("nan")
 
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Arrays and numbers of a checkpoint; `from_arrays` takes them back."""

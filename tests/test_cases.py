@@ -39,7 +39,7 @@ def test_moving_cases_are_known() -> None:
 
 @pytest.mark.parametrize("name", sorted(MOVING))
 def test_everything_a_moving_case_names_exists(name: str) -> None:
-    from flexapod.app.motion import assemble_motion
+    from flexapod.app.motion_model import assemble_motion
 
     loaded = load_case(name)
     motion = assemble_motion(loaded, None, lambda text: None, settle=False)
