@@ -8,9 +8,10 @@ import numba
 import numpy as np
 
 from flexapod.core.errors import InputError
+from flexapod.fem.element_kernels import R, aligned, pack_laws, scratch_size
 from flexapod.fem.kernels import gather_forces
-from flexapod.fem.residual_kernels import LANES, R, _aligned
-from flexapod.fem.viscous_kernels import branch_factors, scratch_size, viscous_forces
+from flexapod.fem.lane_kernels import LANES
+from flexapod.fem.viscous_kernels import branch_factors, viscous_forces
 from flexapod.materials.prony import Prony
 
 
@@ -94,44 +95,21 @@ class ViscousForce:
         self._node_cell = np.argsort(flat, kind="stable").astype(np.int32)
         counts = np.bincount(flat, minlength=node_count)
         self._node_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        self._set_laws(np.asarray(mu, float), np.asarray(alpha, float), np.asarray(c, float))
+        self._shear = (
+            0.5 * (np.asarray(mu) * np.asarray(alpha)).sum(axis=1) + 2.0 * np.asarray(c)[:, 0]
+        )
+        self._laws = pack_laws(self._material, mu, alpha, c)
         self._set_branches(prony)
         self._set_points(gradients, weights)
-        self._force = _aligned(self.active.size, 24)
+        self._force = aligned(self.active.size, 24)
         threads = int(numba.config.NUMBA_NUM_THREADS)
-        size = scratch_size(self._mu.shape[1], self._moduli.shape[1])
-        self._scratch = _aligned(threads, -(-size // 8) * 8)
+        size = scratch_size(self._laws.mu.shape[1], self._moduli.shape[1])
+        self._scratch = aligned(threads, -(-size // 8) * 8)
 
     @property
     def branch_count(self) -> int:
         """Most branches any material has."""
         return int(self._moduli.shape[1])
-
-    def _set_laws(self, mu: np.ndarray, alpha: np.ndarray, c: np.ndarray) -> None:
-        self._shear = 0.5 * (mu * alpha).sum(axis=1) + 2.0 * c[:, 0]
-        # As in `InternalForce.set_laws`: alpha = 2 is mu/2 (I1 - 3), which needs no eigenvalues.
-        used = mu != 0.0
-        if (used & ~((alpha != 0.0) & (np.abs(alpha) <= 80.0))).any():
-            raise InputError("Ogden's alpha must lie within +-80 and differ from 0")
-        neo_hooke = used & (alpha == 2.0)
-        self._c = c.copy()
-        self._c[:, 0] += 0.5 * np.where(neo_hooke, mu, 0.0).sum(axis=1)
-        used &= ~neo_hooke
-        terms = used.sum(axis=1)
-        self._mu = np.zeros((mu.shape[0], max(1, int(terms.max()))))
-        self._alpha = np.ones_like(self._mu)
-        for m, term_count in enumerate(terms):
-            self._mu[m, :term_count] = mu[m, used[m]]
-            self._alpha[m, :term_count] = alpha[m, used[m]]
-        self._no_bulk = np.zeros(mu.shape[0])
-        starts = np.arange(0, self._material.size, LANES)
-        least = np.minimum.reduceat(self._material, starts)
-        most = np.maximum.reduceat(self._material, starts)
-        self._plan = np.empty((starts.size, 3), dtype=np.int32)
-        self._plan[:, 0] = np.where(least == most, least, -1)
-        self._plan[:, 1] = np.maximum.reduceat(terms[self._material], starts)
-        yeoh = np.any(self._c != 0.0, axis=1).astype(np.int32)
-        self._plan[:, 2] = np.maximum.reduceat(yeoh[self._material], starts)
 
     def _set_branches(self, prony: Sequence[Prony | None]) -> None:
         most = max(len(p.times) for p in prony if p is not None)
@@ -145,17 +123,17 @@ class ViscousForce:
 
     def _set_points(self, gradients: np.ndarray, weights: np.ndarray) -> None:
         count = self.active.size
-        batches = self._plan.shape[0]
+        batches = self._laws.plan.shape[0]
         # The last batch is filled up with its last cell.
         padded = self.active[np.minimum(np.arange(batches * LANES), count - 1)]
-        self._gradients = _aligned(batches, 8 * 24 * LANES)
-        self._weights = _aligned(batches, 8 * LANES)
+        self._gradients = aligned(batches, 8 * 24 * LANES)
+        self._weights = aligned(batches, 8 * LANES)
         lanes_last = gradients[padded].reshape(batches, LANES, 192).transpose(0, 2, 1)
         self._gradients[:] = lanes_last.reshape(batches, -1)
         self._weights[:] = (
             weights[padded].reshape(batches, LANES, 8).transpose(0, 2, 1).reshape(batches, -1)
         )
-        self._history = _aligned(batches, 6 * (1 + self.branch_count) * R)
+        self._history = aligned(batches, 6 * (1 + self.branch_count) * R)
 
     def force(self, u: np.ndarray, dt: float, out: np.ndarray) -> None:
         """Advance the history by `dt` [s] to displacement `u` [m]; write the force [N] into `out`.
@@ -172,12 +150,7 @@ class ViscousForce:
             LANES,
             u.reshape(-1),
             self._cells,
-            self._material,
-            self._plan,
-            self._mu,
-            self._alpha,
-            self._c,
-            self._no_bulk,
+            self._laws,
             self._factors,
             self._gradients,
             self._weights,
@@ -224,7 +197,7 @@ class ViscousForce:
                     "another body or another series"
                 )
         rows = np.concatenate([history["stress"][:, :, None], history["overstress"]], axis=2)
-        batches = self._plan.shape[0]
+        batches = self._laws.plan.shape[0]
         padded = np.minimum(np.arange(batches * LANES), self.active.size - 1)
         # (batch, lane, point, part, component) to (batch, part, component, point, lane).
         split = rows[padded].reshape(batches, LANES, 8, -1, 6).transpose(0, 3, 4, 2, 1)
@@ -233,7 +206,7 @@ class ViscousForce:
 
     def _points(self, rows: np.ndarray) -> np.ndarray:
         """Rows of the kernel as (active_count, 8, 1 + branch_count, 6)."""
-        batches = self._plan.shape[0]
+        batches = self._laws.plan.shape[0]
         kept = rows.reshape(batches, -1, 6, R)[..., : 8 * LANES]
         split = kept.reshape(batches, -1, 6, 8, LANES).transpose(0, 4, 3, 1, 2)
         return split.reshape(batches * LANES, 8, -1, 6)[: self.active.size]

@@ -14,8 +14,8 @@ step. S and Q_i live in the reference frame: a superposed rotation changes neith
 ``dev`` is Simo's: the stress remembered from another shape is no longer without trace in the
 present one, and the model leaves the pressure elastic.
 
-The layout is that of `fem.residual_kernels`, whose law stages are used as they are: batches of
-LANES elements, point rows of 8 LANES numbers with stride R.
+The layout and the stages of the law are those of `fem.element_kernels`: batches of LANES
+elements, point rows of 8 LANES numbers with stride R.
 """
 
 from __future__ import annotations
@@ -26,47 +26,30 @@ from typing import Any
 import numba
 
 from flexapod.core.jit import kernel
-from flexapod.fem.residual_kernels import (
-    _COF,
-    _ELEMENT_SIZE,
-    _F1,
-    _F2,
-    _FLAGS,
-    _J,
-    _LM,
-    _LOG2_E,
-    _OGDEN,
-    _P,
-    _POINT_SIZE,
-    _Q,
-    _T2,
-    _V,
-    _Z,
-    LANES,
+from flexapod.fem.element_kernels import (
+    AT_CORNERS,
+    ELEMENT_SIZE,
+    POINT_SIZE,
+    ROW_COF,
+    ROW_J,
+    ROW_OGDEN,
+    ROW_P,
+    ROW_T2,
+    ROW_Z,
     R,
-    _exp2m1,
-    _first_invariant,
-    _interpolate,
-    _load_corners,
-    _load_material,
-    _log1p,
-    _logarithms,
-    _ogden,
-    _wide_vectors,
-    _yeoh,
+    cofactors,
+    evaluate_law,
+    load_corners,
+    load_material,
+    load_stress,
+    store_strain,
 )
+from flexapod.fem.lane_kernels import FLAGS, LANES, LOG2_E, exp2m1, log1p, wide_vectors
 
 L = LANES
 # Rows of the point scratch that the law has done with by then.
-_SUM = _P  # 6, over _LM and the logarithms: sum of the branches as 00, 11, 22, 01, 02, 12
-_SHRINK = _T2
-
-
-def scratch_size(term_count: int, branch_count: int) -> int:
-    """Doubles one thread needs: a flag, element, point, material and branch rows."""
-    return (
-        8 + _ELEMENT_SIZE + _POINT_SIZE + _OGDEN + (3 * max(1, term_count) + 2 * branch_count) * R
-    )
+_SUM = ROW_P  # 6, over ROW_LM and the logarithms: the branches' sum as 00, 11, 22, 01, 02, 12
+_SHRINK = ROW_T2
 
 
 @kernel
@@ -86,7 +69,7 @@ def branch_factors(moduli: Any, times: Any, dt: float, out: Any) -> None:
             out[m, k, 1] = moduli[m, k] * share
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _load_branches(first: int, last: int, material: Any, factors: Any, rows: Any) -> None:
     for k in range(factors.shape[1]):
         for i in range(L):
@@ -96,12 +79,12 @@ def _load_branches(first: int, last: int, material: Any, factors: Any, rows: Any
                 rows[(2 * k + 1) * R + q * L + i] = factors[m, k, 1]
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _displacement_gradients(g: Any, v: Any, p: Any, lanes: int) -> None:
-    """du/dX at the points into nine rows from `_COF`: rows of 24 LANES gradients, corner values."""
-    _wide_vectors()
+    """du/dX at the points into nine rows from ROW_COF, of corner values `v`; `g` as below."""
+    wide_vectors()
     for q in range(8):
-        h = p[_COF + q * L :]
+        h = p[ROW_COF + q * L :]
         for i in range(lanes):
             h00 = 0.0
             h01 = 0.0
@@ -141,20 +124,20 @@ def _displacement_gradients(g: Any, v: Any, p: Any, lanes: int) -> None:
             h[8 * R + i] = h22
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _strain(p: Any, count: int) -> None:
     """Z = dev(b)/q, its invariants as the law stages want them, and J."""
-    _wide_vectors()
+    wide_vectors()
     for i in range(count):
-        h00 = p[_COF + i]
-        h01 = p[_COF + R + i]
-        h02 = p[_COF + 2 * R + i]
-        h10 = p[_COF + 3 * R + i]
-        h11 = p[_COF + 4 * R + i]
-        h12 = p[_COF + 5 * R + i]
-        h20 = p[_COF + 6 * R + i]
-        h21 = p[_COF + 7 * R + i]
-        h22 = p[_COF + 8 * R + i]
+        h00 = p[ROW_COF + i]
+        h01 = p[ROW_COF + R + i]
+        h02 = p[ROW_COF + 2 * R + i]
+        h10 = p[ROW_COF + 3 * R + i]
+        h11 = p[ROW_COF + 4 * R + i]
+        h12 = p[ROW_COF + 5 * R + i]
+        h20 = p[ROW_COF + 6 * R + i]
+        h21 = p[ROW_COF + 7 * R + i]
+        h22 = p[ROW_COF + 8 * R + i]
         # b - I, so that small strains keep their digits.
         b00 = 2.0 * h00 + h00 * h00 + h01 * h01 + h02 * h02
         b11 = 2.0 * h11 + h10 * h10 + h11 * h11 + h12 * h12
@@ -162,91 +145,45 @@ def _strain(p: Any, count: int) -> None:
         b01 = h01 + h10 + h00 * h10 + h01 * h11 + h02 * h12
         b02 = h02 + h20 + h00 * h20 + h01 * h21 + h02 * h22
         b12 = h12 + h21 + h10 * h20 + h11 * h21 + h12 * h22
-        third = (b00 + b11 + b22) * (1.0 / 3.0)
-        iq = 1.0 / (1.0 + third)
-        b00 = (b00 - third) * iq
-        b11 = (b11 - third) * iq
-        b22 = (b22 - third) * iq
-        b01 *= iq
-        b02 *= iq
-        b12 *= iq
-        p[_Z + i] = b00
-        p[_Z + R + i] = b11
-        p[_Z + 2 * R + i] = b22
-        p[_Z + 3 * R + i] = b01
-        p[_Z + 4 * R + i] = b02
-        p[_Z + 5 * R + i] = b12
+        store_strain(p, i, 1.0, b00, b11, b22, b01, b02, b12)
         h00 += 1.0
         h11 += 1.0
         h22 += 1.0
-        p[_J + i] = (
+        p[ROW_J + i] = (
             h00 * (h11 * h22 - h12 * h21)
             + h01 * (h12 * h20 - h10 * h22)
             + h02 * (h10 * h21 - h11 * h20)
         )
-        o01 = b01 * b01
-        o02 = b02 * b02
-        o12 = b12 * b12
-        square = b00 * b00 + b11 * b11 + b22 * b22 + 2.0 * (o01 + o02 + o12)
-        p[_T2 + i] = square * (1.0 / 3.0)
-        p2 = square * (1.0 / 6.0)
-        detz = b00 * (b11 * b22 - o12) + 2.0 * b01 * b02 * b12 - b11 * o02 - b22 * o01
-        p[_LM + i] = detz - 3.0 * p2
-        p[_P + i] = p2
-        p[_Q + i] = detz
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _pull_back(p: Any, s: Any, count: int) -> None:
     """Replace Z by S - S_old and S_old `s` (6 rows) by S; J**(-2/3) into `_SHRINK`.
 
     Points without a positive J keep their old stress: the caller is about to stop.
     """
-    _wide_vectors()
+    wide_vectors()
     for i in range(count):
-        j = p[_J + i]
+        j = p[ROW_J + i]
         good = j > 0.0 and j < 1e300
         j = j if good else 1.0
-        shrink = 1.0 + _exp2m1((-2.0 / 3.0) * _LOG2_E * _log1p(j - 1.0))
+        shrink = 1.0 + exp2m1((-2.0 / 3.0) * LOG2_E * log1p(j - 1.0))
         # S = F^-1 tau F^-T J**(2/3), with the inverse as the cofactors over J.
         scale = 1.0 / (j * j * shrink)
-        a1 = p[_F1 + i] * scale
-        a2 = p[_F2 + i] * scale
-        z00 = p[_Z + i]
-        z11 = p[_Z + R + i]
-        z22 = p[_Z + 2 * R + i]
-        z01 = p[_Z + 3 * R + i]
-        z02 = p[_Z + 4 * R + i]
-        z12 = p[_Z + 5 * R + i]
-        base = -a2 * p[_T2 + i]
+        t00, t11, t22, t01, t02, t12 = load_stress(p, i, scale, 0.0)
         p[_SHRINK + i] = shrink
-        o01 = z01 * z01
-        o02 = z02 * z02
-        o12 = z12 * z12
-        t00 = base + a1 * z00 + a2 * (z00 * z00 + o01 + o02)
-        t11 = base + a1 * z11 + a2 * (z11 * z11 + o01 + o12)
-        t22 = base + a1 * z22 + a2 * (z22 * z22 + o02 + o12)
-        t01 = a1 * z01 + a2 * (z01 * (z00 + z11) + z02 * z12)
-        t02 = a1 * z02 + a2 * (z02 * (z00 + z22) + z01 * z12)
-        t12 = a1 * z12 + a2 * (z12 * (z11 + z22) + z01 * z02)
-        f00 = 1.0 + p[_COF + i]
-        f01 = p[_COF + R + i]
-        f02 = p[_COF + 2 * R + i]
-        f10 = p[_COF + 3 * R + i]
-        f11 = 1.0 + p[_COF + 4 * R + i]
-        f12 = p[_COF + 5 * R + i]
-        f20 = p[_COF + 6 * R + i]
-        f21 = p[_COF + 7 * R + i]
-        f22 = 1.0 + p[_COF + 8 * R + i]
-        c00 = f11 * f22 - f12 * f21
-        c01 = f12 * f20 - f10 * f22
-        c02 = f10 * f21 - f11 * f20
-        c10 = f02 * f21 - f01 * f22
-        c11 = f00 * f22 - f02 * f20
-        c12 = f01 * f20 - f00 * f21
-        c20 = f01 * f12 - f02 * f11
-        c21 = f02 * f10 - f00 * f12
-        c22 = f00 * f11 - f01 * f10
+        f00 = 1.0 + p[ROW_COF + i]
+        f01 = p[ROW_COF + R + i]
+        f02 = p[ROW_COF + 2 * R + i]
+        f10 = p[ROW_COF + 3 * R + i]
+        f11 = 1.0 + p[ROW_COF + 4 * R + i]
+        f12 = p[ROW_COF + 5 * R + i]
+        f20 = p[ROW_COF + 6 * R + i]
+        f21 = p[ROW_COF + 7 * R + i]
+        f22 = 1.0 + p[ROW_COF + 8 * R + i]
+        c00, c01, c02, c10, c11, c12, c20, c21, c22 = cofactors(
+            f00, f01, f02, f10, f11, f12, f20, f21, f22
+        )
         # tau cof, then cof^T of it.
         m00 = t00 * c00 + t01 * c10 + t02 * c20
         m01 = t00 * c01 + t01 * c11 + t02 * c21
@@ -265,34 +202,34 @@ def _pull_back(p: Any, s: Any, count: int) -> None:
         s12 = c01 * m02 + c11 * m12 + c21 * m22
         old = s[i]
         s00 = s00 if good else old
-        p[_Z + i] = s00 - old
+        p[ROW_Z + i] = s00 - old
         s[i] = s00
         old = s[R + i]
         s11 = s11 if good else old
-        p[_Z + R + i] = s11 - old
+        p[ROW_Z + R + i] = s11 - old
         s[R + i] = s11
         old = s[2 * R + i]
         s22 = s22 if good else old
-        p[_Z + 2 * R + i] = s22 - old
+        p[ROW_Z + 2 * R + i] = s22 - old
         s[2 * R + i] = s22
         old = s[3 * R + i]
         s01 = s01 if good else old
-        p[_Z + 3 * R + i] = s01 - old
+        p[ROW_Z + 3 * R + i] = s01 - old
         s[3 * R + i] = s01
         old = s[4 * R + i]
         s02 = s02 if good else old
-        p[_Z + 4 * R + i] = s02 - old
+        p[ROW_Z + 4 * R + i] = s02 - old
         s[4 * R + i] = s02
         old = s[5 * R + i]
         s12 = s12 if good else old
-        p[_Z + 5 * R + i] = s12 - old
+        p[ROW_Z + 5 * R + i] = s12 - old
         s[5 * R + i] = s12
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _relax(q: Any, change: Any, decay: Any, gain: Any, total: Any, count: int) -> None:
     """Advance one branch, component by component, and add it to the sum."""
-    _wide_vectors()
+    wide_vectors()
     for k in range(6):
         for i in range(count):
             now = decay[i] * q[k * R + i] + gain[i] * change[k * R + i]
@@ -300,21 +237,21 @@ def _relax(q: Any, change: Any, decay: Any, gain: Any, total: Any, count: int) -
             total[k * R + i] += now
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _push_forward(p: Any, weights: Any, count: int) -> None:
     """Replace du/dX by the weight times the overstress P; zero where J is not positive."""
-    _wide_vectors()
+    wide_vectors()
     for i in range(count):
-        f00 = 1.0 + p[_COF + i]
-        f01 = p[_COF + R + i]
-        f02 = p[_COF + 2 * R + i]
-        f10 = p[_COF + 3 * R + i]
-        f11 = 1.0 + p[_COF + 4 * R + i]
-        f12 = p[_COF + 5 * R + i]
-        f20 = p[_COF + 6 * R + i]
-        f21 = p[_COF + 7 * R + i]
-        f22 = 1.0 + p[_COF + 8 * R + i]
-        j = p[_J + i]
+        f00 = 1.0 + p[ROW_COF + i]
+        f01 = p[ROW_COF + R + i]
+        f02 = p[ROW_COF + 2 * R + i]
+        f10 = p[ROW_COF + 3 * R + i]
+        f11 = 1.0 + p[ROW_COF + 4 * R + i]
+        f12 = p[ROW_COF + 5 * R + i]
+        f20 = p[ROW_COF + 6 * R + i]
+        f21 = p[ROW_COF + 7 * R + i]
+        f22 = 1.0 + p[ROW_COF + 8 * R + i]
+        j = p[ROW_J + i]
         good = j > 0.0 and j < 1e300
         shrink = weights[i] * p[_SHRINK + i]
         q00 = shrink * p[_SUM + i]
@@ -340,35 +277,38 @@ def _push_forward(p: Any, weights: Any, count: int) -> None:
         )
         # F^-T is the cofactor over J.
         r = trace / (3.0 * j)
-        t00 -= r * (f11 * f22 - f12 * f21)
-        t01 -= r * (f12 * f20 - f10 * f22)
-        t02 -= r * (f10 * f21 - f11 * f20)
-        t10 -= r * (f02 * f21 - f01 * f22)
-        t11 -= r * (f00 * f22 - f02 * f20)
-        t12 -= r * (f01 * f20 - f00 * f21)
-        t20 -= r * (f01 * f12 - f02 * f11)
-        t21 -= r * (f02 * f10 - f00 * f12)
-        t22 -= r * (f00 * f11 - f01 * f10)
-        p[_COF + i] = t00 if good else 0.0
-        p[_COF + R + i] = t01 if good else 0.0
-        p[_COF + 2 * R + i] = t02 if good else 0.0
-        p[_COF + 3 * R + i] = t10 if good else 0.0
-        p[_COF + 4 * R + i] = t11 if good else 0.0
-        p[_COF + 5 * R + i] = t12 if good else 0.0
-        p[_COF + 6 * R + i] = t20 if good else 0.0
-        p[_COF + 7 * R + i] = t21 if good else 0.0
-        p[_COF + 8 * R + i] = t22 if good else 0.0
+        c00, c01, c02, c10, c11, c12, c20, c21, c22 = cofactors(
+            f00, f01, f02, f10, f11, f12, f20, f21, f22
+        )
+        t00 -= r * c00
+        t01 -= r * c01
+        t02 -= r * c02
+        t10 -= r * c10
+        t11 -= r * c11
+        t12 -= r * c12
+        t20 -= r * c20
+        t21 -= r * c21
+        t22 -= r * c22
+        p[ROW_COF + i] = t00 if good else 0.0
+        p[ROW_COF + R + i] = t01 if good else 0.0
+        p[ROW_COF + 2 * R + i] = t02 if good else 0.0
+        p[ROW_COF + 3 * R + i] = t10 if good else 0.0
+        p[ROW_COF + 4 * R + i] = t11 if good else 0.0
+        p[ROW_COF + 5 * R + i] = t12 if good else 0.0
+        p[ROW_COF + 6 * R + i] = t20 if good else 0.0
+        p[ROW_COF + 7 * R + i] = t21 if good else 0.0
+        p[ROW_COF + 8 * R + i] = t22 if good else 0.0
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _corner_forces(g: Any, p: Any, v: Any, lanes: int) -> None:
     """Corner forces P dN_a summed over the points into `v` (24 rows)."""
-    _wide_vectors()
+    wide_vectors()
     for k in range(24):
         for i in range(lanes):
             v[k * L + i] = 0.0
     for q in range(8):
-        t = p[_COF + q * L :]
+        t = p[ROW_COF + q * L :]
         for a in range(8):
             f = v[3 * a * L :]
             d = g[(24 * q + 3 * a) * L :]
@@ -381,19 +321,15 @@ def _corner_forces(g: Any, p: Any, v: Any, lanes: int) -> None:
                 f[2 * L + i] += t[6 * R + i] * g0 + t[7 * R + i] * g1 + t[8 * R + i] * g2
 
 
-@numba.njit(**_FLAGS)
+@numba.njit(**FLAGS)
 def _batch(
     first: int,
     last: int,
     lanes: int,
     u: Any,
     cells: Any,
-    material: Any,
+    laws: Any,
     plan: Any,
-    mu: Any,
-    alpha: Any,
-    c: Any,
-    no_bulk: Any,
     factors: Any,
     gradients: Any,
     weights: Any,
@@ -405,29 +341,21 @@ def _batch(
 
     `lanes` is LANES, passed where LLVM cannot see it; see `fem.residual_kernels`.
     """
-    _wide_vectors()
-    s = scratch[8 : 8 + _ELEMENT_SIZE]
-    p = scratch[8 + _ELEMENT_SIZE : 8 + _ELEMENT_SIZE + _POINT_SIZE]
-    coefficient = scratch[8 + _ELEMENT_SIZE + _POINT_SIZE :]
-    branches = coefficient[_OGDEN + 3 * mu.shape[1] * R :]
+    wide_vectors()
+    s = scratch[8 : 8 + ELEMENT_SIZE]
+    p = scratch[8 + ELEMENT_SIZE : 8 + ELEMENT_SIZE + POINT_SIZE]
+    coefficient = scratch[8 + ELEMENT_SIZE + POINT_SIZE :]
+    branches = coefficient[ROW_OGDEN + 3 * laws.mu.shape[1] * R :]
     count = 8 * lanes
     if plan[0] < 0 or scratch[0] != plan[0]:
-        _load_material(first, last, material, mu, alpha, c, no_bulk, no_bulk, s, coefficient)
-        _load_branches(first, last, material, factors, branches)
+        load_material(first, last, laws, s, coefficient)
+        _load_branches(first, last, laws.material, factors, branches)
         scratch[0] = plan[0]
-    v = s[_V:]
-    _load_corners(first, last, u, cells, v)
+    v = s[AT_CORNERS:]
+    load_corners(first, last, u, cells, v)
     _displacement_gradients(gradients, v, p, lanes)
     _strain(p, count)
-    if plan[1] > 0:
-        _logarithms(p, count)
-        for k in range(plan[1]):
-            _ogden(p, coefficient[_OGDEN + 3 * k * R :], count)
-        _interpolate(p, count)
-    else:
-        _first_invariant(p, count)
-    if plan[2]:
-        _yeoh(p, coefficient, count)
+    evaluate_law(p, coefficient, plan, count)
     _pull_back(p, history, count)
     for k in range(6):
         for i in range(count):
@@ -435,7 +363,7 @@ def _batch(
     for k in range(factors.shape[1]):
         _relax(
             history[6 * (k + 1) * R :],
-            p[_Z:],
+            p[ROW_Z:],
             branches[2 * k * R :],
             branches[(2 * k + 1) * R :],
             p[_SUM:],
@@ -448,17 +376,12 @@ def _batch(
             forces[first + i, a] = v[a * L + i]
 
 
-@numba.njit(parallel=True, **_FLAGS)
+@numba.njit(parallel=True, **FLAGS)
 def viscous_forces(
     lanes: int,
     u: Any,
     cells: Any,
-    material: Any,
-    plan: Any,
-    mu: Any,
-    alpha: Any,
-    c: Any,
-    no_bulk: Any,
+    laws: Any,
     factors: Any,
     gradients: Any,
     weights: Any,
@@ -474,10 +397,8 @@ def viscous_forces(
         LANES.
     u
         Displacements [m], flat.
-    plan
-        Per batch: its material or -1 for several, Ogden terms, any Yeoh terms; (batch_count, 3).
-    no_bulk
-        Zeros, shape (material_count,): the volume has no part in this.
+    laws
+        Without bulk moduli: the volume has no part in this.
     factors
         See `branch_factors`.
     gradients
@@ -491,6 +412,7 @@ def viscous_forces(
         Shape (thread_count, scratch_size).
     """
     last = cells.shape[0] - 1
+    plan = laws.plan
     for k in range(scratch.shape[0]):
         scratch[k, 0] = -1.0
     for b in numba.prange((last + L) // L):
@@ -500,12 +422,8 @@ def viscous_forces(
             lanes,
             u,
             cells,
-            material,
+            laws,
             plan[b],
-            mu,
-            alpha,
-            c,
-            no_bulk,
             factors,
             gradients[b],
             weights[b],

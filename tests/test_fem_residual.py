@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from flexapod.core.errors import InputError
-from flexapod.fem.residual_kernels import LANES, InternalForce
+from flexapod.fem.lane_kernels import LANES
+from flexapod.fem.residual_kernels import InternalForce
 
 CORNERS = np.array(
     [

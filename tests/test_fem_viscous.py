@@ -16,7 +16,8 @@ from statics_helpers import distorted, grid
 
 from flexapod.core.errors import InputError
 from flexapod.fem.body import SolidBody
-from flexapod.fem.residual_kernels import LANES, InternalForce
+from flexapod.fem.lane_kernels import LANES
+from flexapod.fem.residual_kernels import InternalForce
 from flexapod.fem.viscous import ViscousForce
 from flexapod.geometry.tagged import TaggedMesh
 from flexapod.materials.law import SolidMaterial
