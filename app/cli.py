@@ -19,6 +19,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from flexapod.app.fit import fit_command
+from flexapod.app.fit_relaxation import fit_relaxation_command
 from flexapod.core.errors import InputError, SolverError, Status
 
 
@@ -103,6 +104,10 @@ def _main_options(
 app.command(
     "fit", epilog="Example: [bold]flexapod fit tensile.csv --terms 3 --out material.toml[/bold]"
 )(fit_command)
+app.command(
+    "fit-relaxation",
+    epilog="Example: [bold]flexapod fit-relaxation relaxation.csv --terms 3 --out DIR[/bold]",
+)(fit_relaxation_command)
 
 
 @app.command(

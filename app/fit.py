@@ -203,7 +203,7 @@ def fit_files(
     return fit_law(sets, model, terms, weights=weights, stable=stable)
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
     from flexapod.app.outputs import replacing
 
@@ -243,7 +243,7 @@ def write_material(result: FitResult, path: Path, density: float | None = None) 
     import tomli_w
 
     text = tomli_w.dumps(material_table(result, path.stem, density))
-    _write_whole(path, text.encode())
+    write_whole(path, text.encode())
 
 
 def _report(result: FitResult, written: list[Path]) -> None:
@@ -380,4 +380,4 @@ def plot_fit(result: FitResult, path: Path) -> None:
     )
     buffer = io.BytesIO()
     figure.savefig(buffer, format=path.suffix.lower().lstrip("."), dpi=150)
-    _write_whole(path, buffer.getvalue())
+    write_whole(path, buffer.getvalue())

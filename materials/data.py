@@ -8,8 +8,6 @@ the named rules of `RULES` and is written into `TensileData.notes`.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Callable
@@ -21,6 +19,7 @@ import numpy as np
 from flexapod.core.errors import InputError, check_positive
 from flexapod.core.units import unit_scale
 from flexapod.materials.modes import direction
+from flexapod.materials.tables import UNIT_IN_BRACKETS, parse_number, read_lines, split_cells
 
 RULES: dict[str, str] = {
     "engineering-first": "with both engineering and true columns, the engineering ones are read",
@@ -40,8 +39,6 @@ RULES: dict[str, str] = {
 _TAIL_FRACTION = 0.8
 _OFFSET_FRACTION = 0.02
 
-_NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
-_UNIT_IN_BRACKETS = re.compile(r"[\(\[]\s*([^\)\]]*?)\s*[\)\]]")
 _RATIO_UNITS = {"", "-", "1", "mm/mm", "m/m", "in/in", "strain", "abs"}
 _PERCENT_UNITS = {"%", "percent", "pct"}
 # What may trail a name without brackets: "stress_MPa", "Force / N", "Strain %".
@@ -131,7 +128,7 @@ def read_test(
     path = Path(path)
     label = name or path.name
     direction(mode)
-    lines = _lines(path)
+    lines = read_lines(path)
     delimiter, head, columns, units_line = _find_header(lines, str(path))
     notes: list[str] = []
     deformation, load = _choose(columns, notes, f"{path}, line {head + 1}")
@@ -146,13 +143,13 @@ def read_test(
     raw: list[tuple[int, float, float]] = []  # line number, deformation, load
     first = head + (2 if units_line else 1)
     for number, line in enumerate(lines[first:], start=first + 1):
-        cells = _cells(line, delimiter)
+        cells = split_cells(line, delimiter)
         if not any(cells):
             continue
         pair: list[float] = []
         for column in (deformation, load):
             cell = cells[column.index] if column.index < len(cells) else ""
-            value = _number(cell, delimiter)
+            value = parse_number(cell)
             if value is None:
                 raise InputError(
                     f'"{cell}" in column "{column.text}" is not a number',
@@ -273,48 +270,10 @@ def _note_offset(stretch: np.ndarray, stress: np.ndarray, note: Callable[[str, s
         )
 
 
-def _lines(path: Path) -> list[str]:
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", str(path)) from None
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = raw.decode("utf-16", errors="replace")
-    else:
-        try:
-            text = raw.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = raw.decode("cp1252", errors="replace")
-    if not text.strip():
-        raise InputError("is empty", str(path))
-    return text.splitlines()
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    row = next(csv.reader(io.StringIO(line), delimiter=delimiter), [])
-    return [cell.strip().strip('"').strip() for cell in row]
-
-
-def _number(cell: str, delimiter: str) -> float | None:
-    """A number with decimal point or comma; thousands may be marked with the other or a space."""
-    text = cell.replace("\u00a0", "").replace(" ", "").replace("\u2212", "-")
-    if "," in text:
-        if "." in text:
-            # The later mark is the decimal one: 1.234,5 and 1,234.5.
-            text = (
-                text.replace(".", "").replace(",", ".")
-                if text.rfind(",") > text.rfind(".")
-                else text.replace(",", "")
-            )
-        else:
-            text = text.replace(",", ".")
-    return float(text) if _NUMBER.match(text) else None
-
-
 def _describe(index: int, cell: str, unit: str | None = None) -> _Column | None:
     """Read a header cell, or None if it names no quantity this module knows."""
     text = cell.strip()
-    found = _UNIT_IN_BRACKETS.findall(text)
+    found = UNIT_IN_BRACKETS.findall(text)
     bare = _BARE_UNIT.search(text)
     said = found[-1] if found else (bare.group(1) if bare else "")
     # Brackets may also hold a remark: "Strain (true) (%)".
@@ -357,21 +316,23 @@ def _find_header(lines: list[str], where: str) -> tuple[str, int, list[_Column],
         for delimiter in ("\t", ";", ","):
             if delimiter not in line:
                 continue
-            cells = _cells(line, delimiter)
+            cells = split_cells(line, delimiter)
             columns = [c for c in (_describe(i, t) for i, t in enumerate(cells)) if c]
             kinds = {c.kind for c in columns}
             if not (kinds & {"strain", "stretch", "displacement"} and kinds & {"stress", "force"}):
                 continue
             needed = [c.index for c in columns]
-            following = [x for x in lines[number + 1 : number + 8] if any(_cells(x, delimiter))]
+            following = [
+                x for x in lines[number + 1 : number + 8] if any(split_cells(x, delimiter))
+            ]
             for skip in (0, 1):
                 if len(following) <= skip:
                     break
-                row = _cells(following[skip], delimiter)
-                numeric = [i < len(row) and _number(row[i], delimiter) is not None for i in needed]
+                row = split_cells(following[skip], delimiter)
+                numeric = [i < len(row) and parse_number(row[i]) is not None for i in needed]
                 if sum(numeric) >= 2:
                     if skip:  # a line of units under the names
-                        units = _cells(following[0], delimiter)
+                        units = split_cells(following[0], delimiter)
                         described = (
                             _describe(
                                 c.index,
@@ -455,18 +416,18 @@ def _metadata(
 ) -> tuple[float, str] | None:
     """First metadata line "name (unit); value" whose name holds one of `names`."""
     for line in lines:
-        cells = _cells(line, delimiter)
+        cells = split_cells(line, delimiter)
         if len(cells) < 2:
             continue
         label = re.sub(r"[\W_]+", " ", cells[0].lower())
         if not any(name in label for name in names):
             continue
-        unit = (_UNIT_IN_BRACKETS.findall(cells[0]) or [""])[-1].replace("²", "^2")
+        unit = (UNIT_IN_BRACKETS.findall(cells[0]) or [""])[-1].replace("²", "^2")
         value_text = cells[1]
-        value = _number(value_text, delimiter)
+        value = parse_number(value_text)
         if value is None:
             match = re.match(r"^(\S+)\s+(\S+)$", value_text)
-            value = _number(match.group(1), delimiter) if match else None
+            value = parse_number(match.group(1)) if match else None
             unit = match.group(2).replace("²", "^2") if match else unit
         if value is None or value <= 0.0 or not unit:
             continue

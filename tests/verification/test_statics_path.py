@@ -110,10 +110,12 @@ def _limit() -> tuple[float, float]:
     return float(force[k]), float(depth[k])
 
 
-@pytest.mark.parametrize("iterations", [20, 5])
-def test_snap_is_passed_and_ends_where_displacement_control_does(iterations: int) -> None:
-    # With 20 iterations Newton may jump across by itself; with 5 it cannot, and the
-    # path has to creep.
+@pytest.mark.parametrize(("iterations", "creeps"), [(20, False), (5, True)])
+def test_snap_is_passed_and_ends_where_displacement_control_does(
+    iterations: int, creeps: bool
+) -> None:
+    # With 20 iterations Newton jumps across by itself (measured: five plain increments); with 5
+    # it cannot, and the last increment has to creep.
     limit, depth = _limit()
     force = 1.15 * limit
     problem, crown = _crown_load(force)
@@ -130,7 +132,7 @@ def test_snap_is_passed_and_ends_where_displacement_control_does(iterations: int
     u = result.state.u
     sunk = -float(u[crown, 1].mean())
     print(f"limit {limit:.3f} N at {depth:.3f} m; at {force:.3f} N sunk {sunk:.3f} m, {damped}")
-    assert any(damped) or iterations > 5
+    assert damped[-1] == creeps and not any(damped[:-1])
     assert (result.state.damped_work > 0.0) == any(damped)
     # The arch has turned over, far beyond the limit point.
     assert sunk > 2.0 * depth
