@@ -1,171 +1,43 @@
 """Pictures of a motion, drawn from its results folder: see `draw_motion`.
 
-Snapshots and animation look along +y: x to the right, z up, the ground where it was. Bodies are
-drawn one by one at the scene's scale and laid over it, so that a long way costs no more to draw
-than a short one.
+The curves over time are here, the shapes in `plots_frames`.
 """
 
 from __future__ import annotations
 
-import io
-import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from flexapod.app.outputs import replacing
 from flexapod.app.plots import (
     BLUE,
     GREEN,
     GREY,
-    GROUND,
     PURPLE,
     RED,
     Results,
-    Skin,
-    SkinReader,
-    colour_bar,
-    colour_limits,
-    cut_short,
-    draw_clear,
-    draw_skins,
+    heading_of,
     label,
     new_figure,
     read_results,
-    renderer,
     save_figure,
-    screen_axes,
-    skin_reader,
-    title_of,
 )
-from flexapod.contact.ground import Ground, HeightField, Plane, Step
+from flexapod.app.plots_frames import (
+    plot_animation,
+    plot_motion_final,
+    plot_motion_snapshots,
+    read_frames,
+)
+from flexapod.app.plots_ground import EDGE, draw_ground, ground_profile, read_grounds
+from flexapod.app.plots_skin import renderer
+from flexapod.contact.ground import Ground
 from flexapod.core.errors import InputError
 
 _COLOURS = (BLUE, RED, GREEN, PURPLE, "#d08a1d", GREY, "#3aa6a6", "#7a5230")
-_EDGE, _PALE = "#6b7280", "#eef0f3"
-_DPI = 160
-
-# An animation's largest size [bytes], shortest and longest time between frames [s], and frames
-# at most: Pillow holds them all.
-GIF_SIZE = 8_000_000
-_SHORTEST, _LONGEST, _LAST = 0.02, 0.2, 1.5
-_MOST_FRAMES = 400
-
-
-# --------------------------------------------------------------------------- ground
-
-
-def read_grounds(results: Results) -> list[Ground]:
-    """The grounds of a motion, made as for the run itself."""
-    from pydantic import ValidationError
-
-    from flexapod.app.case import LoadedCase
-    from flexapod.app.motion_parts import make_ground
-    from flexapod.app.spec_dynamics import ContactGroundSpec
-
-    source = str(results.case.get("resolved", {}).get("source", ""))
-    # Only its paths are asked for.
-    loaded = LoadedCase(cast(Any, None), source, Path(source).parent)
-    grounds: list[Ground] = []
-    for index, table in enumerate(results.case.get("contact", ())):
-        if table.get("type") != "ground":
-            continue
-        where = f"{results.folder}: contact.{index}"
-        try:
-            spec = ContactGroundSpec.model_validate(table)
-        except ValidationError as error:
-            raise InputError(str(error.errors()[0]["msg"]), where) from None
-        grounds.append(make_ground(loaded, spec, where))
-    return grounds
-
-
-def ground_heights(ground: Ground, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Height of a ground [m] at x and y [m], which broadcast.
-
-    A height field is bilinear, with its rim's height beyond, as in `contact.ground_kernels`.
-    """
-    x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-    if isinstance(ground, Plane):
-        (px, py, pz), (nx, ny, nz) = ground.point, ground.normal
-        return np.asarray(pz - (nx * (x - px) + ny * (y - py)) / nz)
-    if isinstance(ground, Step):
-        return np.where(x < ground.x, 0.0, ground.height)
-    heights = ground.heights
-    s = np.clip((x - ground.x0) / ground.spacing, 0.0, heights.shape[0] - 1.0)
-    t = np.clip((y - ground.y0) / ground.spacing, 0.0, heights.shape[1] - 1.0)
-    i = np.minimum(s.astype(int), heights.shape[0] - 2)
-    j = np.minimum(t.astype(int), heights.shape[1] - 2)
-    u, w = s - i, t - j
-    low = heights[i, j] * (1.0 - u) + heights[i + 1, j] * u
-    high = heights[i, j + 1] * (1.0 - u) + heights[i + 1, j + 1] * u
-    return np.asarray(low * (1.0 - w) + high * w)
-
-
-def ground_profile(
-    grounds: Sequence[Ground], low: float, high: float, half_width: float = 0.0
-) -> np.ndarray:
-    """Outline of the grounds from x = low to high [m]: x and z, shape (point_count, 2).
-
-    The highest of all grounds, and over |y| <= `half_width`; risers stay upright.
-    """
-    x = _ground_x(grounds, low, high)
-    y = np.linspace(-half_width, half_width, 41) if half_width > 0.0 else np.zeros(1)
-    z = [ground_heights(ground, x[:, None], y[None, :]).max(axis=1) for ground in grounds]
-    return np.column_stack([x, np.max(z, axis=0)])
-
-
-def _ground_x(grounds: Sequence[Ground], low: float, high: float, count: int = 400) -> np.ndarray:
-    x: list[np.ndarray] = [np.linspace(low, high, count)]
-    for ground in grounds:
-        if isinstance(ground, Step):
-            x.append(np.array([np.nextafter(ground.x, -math.inf), ground.x]))
-        elif isinstance(ground, HeightField):
-            x.append(ground.x0 + ground.spacing * np.arange(ground.heights.shape[0]))
-    points = np.unique(np.concatenate(x))
-    return points[(points >= low) & (points <= high)]
-
-
-def _ground_sheet(grounds: Sequence[Ground], low: np.ndarray, high: np.ndarray) -> Skin:
-    """The grounds beneath a box [m] as a sheet."""
-    x = _ground_x(grounds, low[0], high[0], 60)
-    y = np.linspace(low[1], high[1], 40)
-    z = np.max([ground_heights(g, x[:, None], y[None, :]) for g in grounds], axis=0)
-    points = np.stack([*np.meshgrid(x, y, indexing="ij"), z], axis=-1).reshape(-1, 3)
-    corner = np.arange(len(points)).reshape(z.shape)
-    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1)
-    return Skin(points, quads.reshape(-1, 4), np.zeros(len(points)))
-
-
-def _draw_ground(axes: Any, grounds: Sequence[Ground], half_width: float = 0.0) -> None:
-    """Fill the ground [mm] over the axes' width; what rises beside y = 0 is paler."""
-    if not grounds:
-        return
-    low, high = (0.001 * value for value in axes.get_xlim())
-    bottom = axes.get_ylim()[0]
-    if half_width > 0.0 and any(isinstance(ground, HeightField) for ground in grounds):
-        x, z = 1000.0 * ground_profile(grounds, low, high, half_width).T
-        axes.fill_between(x, np.minimum(z, bottom), z, color=_PALE, lw=0, zorder=0.5)
-    x, z = 1000.0 * ground_profile(grounds, low, high).T
-    axes.fill_between(x, np.minimum(z, bottom), z, color=GROUND, lw=0, zorder=0.6)
-    axes.plot(x, z, color=_EDGE, lw=1.1, zorder=1.2)
-
-
-# --------------------------------------------------------------------------- words
-
-
-def _heading(results: Results, more: str = "", width: int = 90) -> str:
-    """The title, with `more` behind it; how the run ended, if early, on a line of its own."""
-    title = title_of(results) + (f": {more}" if more else "")
-    lines = textwrap.wrap(title, width) or [title]
-    if cut_short(results):
-        status = str(results.summary.get("status", "unfinished")).replace("_", " ")
-        lines.append(f"run ended early: {status} at {results.columns['time_s'][-1]:.3g} s")
-    return "\n".join(lines)
 
 
 def _tidy(axes: Any) -> None:
@@ -188,6 +60,9 @@ def _tracks(results: Results) -> dict[str, np.ndarray]:
     """Ways [mm] in the x-z plane by name, the centre's first; shape (row_count, 2)."""
     columns = results.columns
     names = [n.removesuffix("_x_mm") for n in columns if n.endswith("_x_mm")]
+    # Groups of cells made rigid are parts of the body; its own track says where they go.
+    shaped = {f"rigid_{t['name']}" for t in results.case.get("rigid", ()) if "name" in t}
+    names = [n for n in names if not n.startswith("rigid_") or n in shaped]
     return {
         name: np.column_stack([columns[f"{name}_x_mm"], columns[f"{name}_z_mm"]])
         for name in sorted(names, key=lambda n: n != "centre")
@@ -241,7 +116,7 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
     axes.set_xlim(low_x, high_x)
     axes.set_ylim(low_z, high_z)
     axes.set_aspect("equal")
-    _draw_ground(axes, grounds)
+    draw_ground(axes, grounds)
     for (name, way), colour in zip(tracks.items(), _COLOURS * len(tracks), strict=False):
         text = "centre of the body" if name == "centre" else name.replace("_", " ")
         axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.6, label=text, zorder=3)
@@ -269,7 +144,7 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
             axes.legend(frameon=False, fontsize=8)
         _tidy(axes)
         axes.margins(x=0.01)
-    figure.suptitle(_heading(results), fontsize=11)
+    figure.suptitle(heading_of(results), fontsize=11)
     save_figure(figure, path)
 
 
@@ -319,7 +194,7 @@ def plot_energy(results: Results, path: Path) -> None:
     for (name, values), colour in zip(curves.items(), _COLOURS, strict=False):
         if name == "kinetic" or np.nanmax(np.abs(values)) > 0.0:
             _line(upper, time, factor * values, color=colour, label=name)
-    upper.axhline(0.0, color=_EDGE, lw=0.7)
+    upper.axhline(0.0, color=EDGE, lw=0.7)
     upper.set_ylabel(f"energy [{unit}]")
     _tidy(upper)
     upper.legend(frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -335,7 +210,7 @@ def plot_energy(results: Results, path: Path) -> None:
     )
     factor, unit = _scaled(worst)
     _line(lower, time, factor * unaccounted, color=RED)
-    lower.axhline(0.0, color=_EDGE, lw=0.7)
+    lower.axhline(0.0, color=EDGE, lw=0.7)
     lower.set_ylabel(f"[{unit}]")
     lower.set_xlabel("time [s]")
     _tidy(lower)
@@ -347,7 +222,7 @@ def plot_energy(results: Results, path: Path) -> None:
             f" {100 * worst / change:.2g} % of the largest change above"
         )
     lower.set_title(share, fontsize=9, loc="left")
-    figure.suptitle(_heading(results), fontsize=11)
+    figure.suptitle(heading_of(results), fontsize=11)
     save_figure(figure, path)
 
 
@@ -372,30 +247,38 @@ def _contact_title(results: Results, name: str) -> str:
 
 
 def plot_contact(folder: Path | Results, path: Path) -> None:
-    """Per contact: force, area in touch and deepest penetration over time."""
+    """Per contact over time: force, area in touch, deepest penetration, and what it took."""
     results = folder if isinstance(folder, Results) else read_results(folder)
     names = contact_names(results)
     if not names:
         raise InputError("its rows tell of no contacts", str(results.folder))
     time = results.columns["time_s"]
+    # One line each, or two: the second with its own name.
     kinds = (
-        ("force_N", "force [N]"),
-        ("area_mm2", "area [mm²]"),
-        ("depth_mm", "penetration [mm]"),
+        ("force [N]", (("force_N", "normal"), ("friction_N", "friction"))),
+        ("area [mm²]", (("area_mm2", ""),)),
+        ("penetration [mm]", (("depth_mm", ""),)),
+        ("taken [J]", (("friction_loss_J", "by friction"), ("damping_loss_J", "by damping"))),
     )
-    figure = new_figure(max(5.4, 0.6 + 3.9 * len(names)), 6.4)
+    figure = new_figure(max(5.4, 0.6 + 3.9 * len(names)), 7.6)
     grid = figure.subplots(len(kinds), len(names), sharex=True, squeeze=False)
     for j, name in enumerate(names):
-        for i, (head, text) in enumerate(kinds):
+        for i, (text, heads) in enumerate(kinds):
             axes = grid[i, j]
-            values = results.columns.get(f"{name}_{head}")
-            if values is not None:
-                _line(axes, time, values, color=_COLOURS[i])
+            largest = 0.0
+            for k, (head, part) in enumerate(heads):
+                values = results.columns.get(f"{name}_{head}")
+                if values is None:
+                    continue
+                largest = max(largest, float(np.nanmax(values)))
+                _line(axes, time, values, color=_COLOURS[i + 3 * k], label=part)
                 if len(time) > 1:
-                    axes.fill_between(time, values, color=_COLOURS[i], alpha=0.12, lw=0)
-                if not np.nanmax(values) > 0.0:
-                    axes.set_yticks([0.0])
-                    axes.set_ylim(0.0, 1.0)
+                    axes.fill_between(time, values, color=_COLOURS[i + 3 * k], alpha=0.12, lw=0)
+            if not largest > 0.0:
+                axes.set_yticks([0.0])
+                axes.set_ylim(0.0, 1.0)
+            elif len(heads) > 1:
+                axes.legend(fontsize=8, frameon=False, loc="best")
             axes.set_ylim(bottom=0.0)
             axes.margins(x=0.01)
             _tidy(axes)
@@ -404,456 +287,8 @@ def plot_contact(folder: Path | Results, path: Path) -> None:
         grid[0, j].set_title(_contact_title(results, name), fontsize=9.5)
         grid[-1, j].set_xlabel("time [s]")
     figure.align_ylabels(grid[:, 0])
-    figure.suptitle(_heading(results, width=20 + 45 * len(names)), fontsize=11)
+    figure.suptitle(heading_of(results, width=20 + 45 * len(names)), fontsize=11)
     save_figure(figure, path)
-
-
-# --------------------------------------------------------------------------- scenes
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """The states with fields, and what all pictures of them need to know."""
-
-    results: Results
-    reader: SkinReader
-    index: tuple[int, ...]  # of fields that can be drawn
-    boxes: np.ndarray  # bounds of each [m], low and high, shape (frame_count, 2, 3)
-    limits: tuple[float, float]
-
-    def __len__(self) -> int:
-        return len(self.index)
-
-    def skin(self, frame: int) -> Skin:
-        return self.reader.read(self.results.fields[self.index[frame]])
-
-    @property
-    def times(self) -> np.ndarray:
-        """Time of each [s]."""
-        return np.array([self.results.times[i] for i in self.index])
-
-    @property
-    def half_width(self) -> float:
-        """Largest |y| of any [m]."""
-        return float(np.abs(self.boxes[:, :, 1]).max())
-
-
-def _read_frames(results: Results) -> _Frames | None:
-    """Look through all frames once; None without any."""
-    reader = skin_reader(results)
-    index: list[int] = []
-    boxes: list[np.ndarray] = []
-    sample: list[Skin] = []
-    every = max(1, len(results.fields) // 8)
-    for i, path in enumerate(results.fields):
-        skin = reader.read(path)
-        # A run that went wrong may leave a last state that is none.
-        if not np.isfinite(skin.points).all():
-            continue
-        index.append(i)
-        boxes.append(np.array([skin.points.min(axis=0), skin.points.max(axis=0)]))
-        if i % every == 0 and np.isfinite(skin.values).all():
-            sample.append(skin)
-    if not index:
-        return None
-    limits = colour_limits(sample) if sample else (0.0, 1.0)
-    return _Frames(results, reader, tuple(index), np.array(boxes), limits)
-
-
-class _Stage:
-    """A figure of one or several equal scenes in side view, with a colour bar below.
-
-    All sizes are whole pixels, so that a body drawn at `scale` fits its place without being
-    sampled anew.
-    """
-
-    def __init__(
-        self,
-        low: np.ndarray,
-        high: np.ndarray,
-        heading: str,
-        *,
-        width: float,
-        height: float,
-        dpi: int,
-        rows: int = 1,
-        columns: int = 1,
-        above: float = 0.08,
-    ) -> None:
-        """Make room for x and z from `low` to `high` [m] in at most width by height [in]."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        left, gap, ticks, bar = 0.25, 0.25, 0.3, 0.42
-        top = 0.2 + 0.2 * (heading.count("\n") + 1) + above
-        room_x = (width - 2 * left - (columns - 1) * gap) / columns
-        room_z = (height - top - bar - rows * ticks - (rows - 1) * above) / rows
-        span = high - low
-        self.scale = float(min(room_x / span[0], room_z / span[1])) * dpi
-        # Not narrower than title and bar need.
-        least = (6.2 - 2 * left - (columns - 1) * gap) / columns * dpi
-        self.width = math.ceil(max(span[0] * self.scale, least))
-        self.height = math.ceil(span[1] * self.scale)
-        spare = 0.5 * (self.width / self.scale - span[0])
-        self.low = low - [spare, 0.0]
-        size = np.array([self.width, self.height]) / self.scale
-
-        def whole(inches: float) -> int:
-            return round(inches * dpi)
-
-        self.columns = columns
-        steps = (self.width + whole(gap), self.height + whole(ticks + above))
-        total = (
-            2 * whole(left) + self.width + (columns - 1) * steps[0],
-            whole(bar) + whole(ticks) + self.height + (rows - 1) * steps[1] + whole(top),
-        )
-        # Video players and some viewers want even sizes.
-        total = (total[0] + total[0] % 2, total[1] + total[1] % 2)
-        self.figure = Figure(figsize=(total[0] / dpi, total[1] / dpi), dpi=dpi)
-        self.canvas = FigureCanvasAgg(self.figure)
-        self.pixels = total
-        self.axes: list[Any] = []
-        self.corners: list[tuple[int, int]] = []  # of each scene, from the lower left
-        for row in range(rows):
-            for column in range(columns):
-                x = whole(left) + column * steps[0]
-                z = whole(bar) + whole(ticks) + (rows - 1 - row) * steps[1]
-                axes = self.figure.add_axes(
-                    (x / total[0], z / total[1], self.width / total[0], self.height / total[1])
-                )
-                axes.set_xlim(1000 * self.low[0], 1000 * (self.low[0] + size[0]))
-                axes.set_ylim(1000 * self.low[1], 1000 * (self.low[1] + size[1]))
-                for side in ("top", "right", "left"):
-                    axes.spines[side].set_visible(False)
-                axes.spines["bottom"].set_color("#b8bdc5")
-                axes.set_yticks([])
-                axes.tick_params(axis="x", labelsize=8, color="#b8bdc5")
-                axes.locator_params(axis="x", nbins=max(3, int(self.width / dpi / 0.9)))
-                self.axes.append(axes)
-                self.corners.append((x, z))
-        self.figure.text(
-            0.5, 1.0 - 0.1 * dpi / total[1], heading, ha="center", va="top", fontsize=11
-        )
-
-    def colour_bar(self, limits: tuple[float, float], text: str) -> None:
-        """Name the axis to the left and the colours to the right, in one row."""
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
-        wide, tall = self.figure.get_size_inches()
-        self.figure.text(0.25 / wide, 0.24 / tall, "x [mm]", fontsize=9, va="center")
-        axes = self.figure.add_axes(((wide - 2.45) / wide, 0.24 / tall, 2.2 / wide, 0.09 / tall))
-        bar = self.figure.colorbar(
-            ScalarMappable(Normalize(*limits), "viridis"), cax=axes, orientation="horizontal"
-        )
-        bar.outline.set_visible(False)
-        bar.ax.tick_params(labelsize=8, length=2, pad=1)
-        bar.ax.locator_params(nbins=5)
-        self.figure.text(
-            (wide - 2.7) / wide, 0.24 / tall, text, fontsize=9, ha="right", va="center"
-        )
-
-    def ground(self, grounds: Sequence[Ground], half_width: float) -> None:
-        """Draw the ground in all scenes."""
-        for axes in self.axes:
-            _draw_ground(axes, grounds, half_width)
-
-    def body(self, skin: Skin, limits: tuple[float, float]) -> tuple[np.ndarray, int, int]:
-        """Image of a body, RGBA, and where its lower left pixel lies in a scene."""
-        frame = screen_axes("side")
-        screen = skin.points @ frame.T
-        low, high = screen.min(axis=0), screen.max(axis=0)
-        first = np.floor((low[:2] - self.low) * self.scale).astype(int) - 1
-        last = np.ceil((high[:2] - self.low) * self.scale).astype(int) + 1
-        pixels = (int(last[0] - first[0]), int(last[1] - first[1]))
-        low[:2] = self.low + first / self.scale
-        high[:2] = self.low + last / self.scale
-        # Mesh lines only where they leave the faces between them to be seen; about a fifth of the
-        # faces is in sight.
-        lines = pixels[0] * pixels[1] > 60 * 0.2 * len(skin.quads)
-        image = draw_clear(skin, (frame, low, high, low), pixels, limits, "viridis", lines)
-        return image, int(first[0]), int(first[1])
-
-    def place(self, scene: int, image: np.ndarray, column: int, row: int) -> None:
-        """Show a body's image in a scene."""
-        axes = self.axes[scene]
-        height, width = image.shape[:2]
-        edges = np.array([column, column + width]), np.array([row, row + height])
-        x, z = (1000.0 * (low + e / self.scale) for low, e in zip(self.low, edges, strict=True))
-        window = axes.get_xlim(), axes.get_ylim()
-        axes.imshow(image, extent=(*x, *z), zorder=3, aspect="auto", interpolation="none")
-        axes.set_xlim(window[0])
-        axes.set_ylim(window[1])
-
-
-def _scene_bounds(boxes: np.ndarray, grounds: Sequence[Ground]) -> tuple[np.ndarray, np.ndarray]:
-    """Window in x and z [m] for bodies within `boxes` and the ground beneath them."""
-    low, high = boxes[:, 0, ::2].min(axis=0), boxes[:, 1, ::2].max(axis=0)
-    size = float(np.median(boxes[:, 1, ::2] - boxes[:, 0, ::2])) + 1e-9
-    low, high = low - 0.07 * size, high + 0.04 * size
-    if grounds:
-        z = ground_profile(grounds, low[0], high[0])[:, 1]
-        # A ground far below a body in flight is not worth a small body.
-        near = z[z > low[1] - 2.0 * size]
-        low[1] = min(low[1], near.min() - 0.12 * size) if near.size else low[1]
-    return low, high
-
-
-def _wanted_frames(results: Results, frames: _Frames) -> list[int] | None:
-    """Frames nearest the values plot.snapshots asks for; None where it does not."""
-    plot = results.case.get("plot", {})
-    wanted = plot.get("snapshots")
-    if wanted is None:
-        return None
-    head = plot.get("x", "time_s")
-    if head not in results.columns:
-        raise InputError(
-            f'no column "{head}"; the columns are {", ".join(results.columns)}',
-            f"{results.folder}: plot.x",
-        )
-    values = np.interp(frames.times, results.columns["time_s"], results.columns[head])
-    chosen = {int(np.argmin(np.abs(values - value))) for value in wanted}
-    return sorted(chosen) or [len(frames) - 1]
-
-
-def _overlap(boxes: np.ndarray) -> float:
-    """Largest share of its width by which a box covers another; at the same height or not."""
-    worst = 0.0
-    for i in range(len(boxes)):
-        for j in range(i):
-            shared = np.minimum(boxes[i, 1], boxes[j, 1]) - np.maximum(boxes[i, 0], boxes[j, 0])
-            width = min(float(b[1, 0] - b[0, 0]) for b in (boxes[i], boxes[j]))
-            if shared[2] > 0.0:
-                worst = max(worst, float(shared[0]) / max(width, 1e-12))
-    return worst
-
-
-def strip_frames(boxes: np.ndarray, most: int = 7) -> list[int] | None:
-    """Frames evenly along the way that stand clear of each other; None for fewer than three.
-
-    `boxes` holds the bounds of each frame [m], low and high, shape (frame_count, 2, 3).
-    """
-    middle = boxes[:, :, 0].mean(axis=1)
-    width = float(np.median(boxes[:, 1, 0] - boxes[:, 0, 0]))
-    count = min(most, 1 + int(np.ptp(middle) / max(width, 1e-12)))
-    for n in range(count, 2, -1):
-        places = np.linspace(middle.min(), middle.max(), n)
-        chosen = sorted({int(np.argmin(np.abs(middle - place))) for place in places})
-        if len(chosen) > 2 and _overlap(boxes[chosen]) < 0.15:
-            return chosen
-    return None
-
-
-def plot_motion_snapshots(
-    results: Results, grounds: Sequence[Ground], frames: _Frames, path: Path
-) -> None:
-    """Shapes at their places along the ground; beside each other where they would overlap."""
-    wanted = _wanted_frames(results, frames)
-    if wanted is not None:
-        strip = wanted if _overlap(frames.boxes[wanted]) < 0.15 else None
-    else:
-        strip = strip_frames(frames.boxes)
-    even = np.linspace(0, len(frames) - 1, min(6, len(frames))).round().astype(int)
-    chosen = strip or wanted or sorted(set(even.tolist()))
-    low, high = _scene_bounds(frames.boxes[chosen], grounds)
-    columns = 1
-    if strip is None and len(chosen) > 1:
-        # As many beside each other as gives a picture a little wider than high.
-        ratio = float((high[0] - low[0]) / (high[1] - low[1]))
-        columns = min(len(chosen), max(1, round(math.sqrt(1.5 * len(chosen) / ratio))))
-    rows = 1 if strip is not None else -(-len(chosen) // columns)
-    stage = _Stage(
-        low, high, _heading(results), width=12.0, height=8.5, dpi=_DPI,
-        rows=rows, columns=columns, above=0.26,
-    )  # fmt: skip
-    stage.ground(grounds, frames.half_width)
-    for scene, frame in enumerate(chosen):
-        time = f"{frames.times[frame]:.4g} s"
-        stage.place(0 if strip else scene, *stage.body(frames.skin(frame), frames.limits))
-        if strip:
-            box = 1000.0 * frames.boxes[frame]
-            stage.axes[0].annotate(
-                time, (box[:, 0].mean(), box[1, 2]), xytext=(0, 3), textcoords="offset points",
-                ha="center", va="bottom", fontsize=9.5, zorder=5, annotation_clip=False,
-            )  # fmt: skip
-        else:
-            stage.axes[scene].set_title(time, fontsize=10, pad=3)
-    for axes in stage.axes[len(chosen) :]:
-        axes.set_visible(False)
-    stage.colour_bar(frames.limits, frames.reader.text)
-    save_figure(stage.figure, path)
-
-
-def plot_motion_final(
-    results: Results, grounds: Sequence[Ground], frames: _Frames, path: Path
-) -> None:
-    """The last shape, large, on the ground."""
-    last = len(frames) - 1
-    skin, box = frames.skin(last), frames.boxes[last]
-    limits = colour_limits([skin])
-    heading = _heading(results, f"after {frames.times[last]:.4g} s")
-    view = results.case.get("plot", {}).get("view", "corner")
-    low, high = _scene_bounds(frames.boxes[[last]], grounds)
-    if view == "side":
-        stage = _Stage(low, high, heading, width=8.4, height=7.5, dpi=_DPI)
-        stage.ground(grounds, frames.half_width)
-        stage.place(0, *stage.body(skin, limits))
-        stage.colour_bar(limits, frames.reader.text)
-        save_figure(stage.figure, path)
-        return
-    sheet = None
-    if grounds:
-        room = 0.2 * float((box[1] - box[0])[:2].max())
-        sheet = _ground_sheet(grounds, box[0] - room, box[1] + room)
-    image = draw_skins([skin], view, 1300, limits, "viridis", sheet)[0]
-    height, width = image.shape[:2]
-    figure = new_figure(8.0, 7.0 * height / width + 0.3 + 0.2 * (heading.count("\n") + 1))
-    axes = figure.add_subplot()
-    axes.imshow(image)
-    axes.set_axis_off()
-    axes.set_title(heading, fontsize=11)
-    colour_bar(figure, axes, limits, frames.reader.text)
-    save_figure(figure, path)
-
-
-# --------------------------------------------------------------------------- animation
-
-
-def playing(times: np.ndarray) -> tuple[list[int], float]:
-    """How long to show each frame [ms], whole tens, and the speed: 1 is true, 0.5 half as fast.
-
-    True where the time between frames lies within what GIF viewers keep to; else slowed or
-    hurried by a round number. The last frame stays a while.
-    """
-    gap = float(np.median(np.diff(times))) if len(times) > 1 else _LONGEST
-    speed = 1.0
-    steps = [m * 10**k for k in range(7) for m in (1, 2, 5)]
-    slack = 1.0 + 1e-6
-    if gap < _SHORTEST / slack:
-        slower = [n for n in steps if gap * n >= _SHORTEST / slack]
-        speed = 1.0 / slower[0] if slower else 1.0 / steps[-1]
-    elif gap > _LONGEST * slack:
-        faster = [n for n in steps if gap / n <= _LONGEST * slack]
-        speed = float(faster[0]) if faster else float(steps[-1])
-    ticks = np.round(100.0 * (times - times[0]) / speed + 1e-6).astype(int)
-    shown = [10 * max(2, int(n)) for n in np.diff(ticks)]
-    return [*shown, round(1000 * _LAST)], speed
-
-
-def _film(
-    results: Results,
-    grounds: Sequence[Ground],
-    frames: _Frames,
-    chosen: Sequence[int],
-    speed: float,
-) -> Iterator[np.ndarray]:
-    """Images of the chosen frames, shape (height, width, 3), before one still ground."""
-    low, high = _scene_bounds(frames.boxes, grounds)
-    stage = _Stage(low, high, _heading(results), width=12.0, height=6.4, dpi=100, above=0.24)
-    stage.ground(grounds, frames.half_width)
-    stage.colour_bar(frames.limits, frames.reader.text)
-    axes = stage.axes[0]
-    above = 1.0 + 6.0 / stage.height
-    if speed != 1.0:
-        words = f"{speed:g} times faster" if speed > 1.0 else f"slowed {1.0 / speed:g} times"
-        axes.text(
-            1.0, above, f"played {words}" if speed > 1.0 else words, transform=axes.transAxes,
-            ha="right", va="bottom", fontsize=9, color=_EDGE,
-        )  # fmt: skip
-    clock = axes.text(
-        0.0, above, "", transform=axes.transAxes, va="bottom", fontsize=10, animated=True
-    )
-    stage.canvas.draw()
-    still = stage.canvas.copy_from_bbox(stage.figure.bbox)
-    digits = max(0, min(6, 2 - math.floor(math.log10(max(float(np.ptp(frames.times)), 1e-9)))))
-    for frame in chosen:
-        stage.canvas.restore_region(still)
-        clock.set_text(f"t = {frames.times[frame]:.{digits}f} s")
-        stage.figure.draw_artist(clock)
-        image = np.asarray(stage.canvas.buffer_rgba())[:, :, :3].copy()
-        body, column, row = stage.body(frames.skin(frame), frames.limits)
-        height, width = body.shape[:2]
-        left = stage.corners[0][0] + column
-        bottom = image.shape[0] - stage.corners[0][1] - row
-        # The window holds every frame, up to the bodies' own margin of a pixel or two.
-        place = image[bottom - height : bottom, left : left + width]
-        alpha = body[:, :, 3:].astype(float) / 255.0
-        place[:] = np.round(alpha * body[:, :, :3] + (1.0 - alpha) * place).astype(np.uint8)
-        yield image
-
-
-def plot_animation(
-    results: Results, grounds: Sequence[Ground], frames: _Frames, path: Path, size: int = GIF_SIZE
-) -> None:
-    """All frames as a GIF of at most `size` bytes, smaller in pixels if it must be."""
-    from PIL import Image
-
-    chosen = np.arange(len(frames))
-    if len(frames) > _MOST_FRAMES:
-        chosen = np.unique(np.linspace(0, len(frames) - 1, _MOST_FRAMES).round().astype(int))
-    times = frames.times[chosen]
-    shown, speed = playing(times)
-    order = chosen.tolist()
-    some = sorted({order[0], order[len(order) // 2], order[-1]})
-    palette = _palette(list(_film(results, grounds, frames, some, speed)))
-    film = _film(results, grounds, frames, order, speed)
-    images = [_indexed(Image.fromarray(image), palette) for image in film]
-    data = b""
-    for factor in (1.0, 0.8, 0.64, 0.5, 0.4, 0.3):
-        data = _gif(images, palette, shown, factor)
-        if len(data) <= size:
-            break
-    with replacing(path) as partial:
-        partial.write_bytes(data)
-
-
-def _palette(images: Sequence[np.ndarray]) -> Any:
-    """Colours for all frames: one palette, or the still ground would flicker."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_rgb
-    from PIL import Image
-
-    # Paper, ground, lines and the colour bar exactly, then what the bodies need, each of their
-    # colours once: many as they are in the bodies, they are few beside the wide white.
-    greys = np.linspace(0.0, 0.95, 12)[:, None] * np.ones(3)
-    bar = colormaps["viridis"](np.linspace(0.0, 1.0, 48))[:, :3]
-    named = np.array([to_rgb(name) for name in ("white", GROUND, _PALE, _EDGE)])
-    fixed = np.round(255.0 * np.concatenate([named, greys, bar])).astype(np.uint8)
-    colours = np.unique(np.concatenate([image.reshape(-1, 3) for image in images]), axis=0)
-    colours = colours[np.ptp(colours.astype(int), axis=1) > 24]
-    if not len(colours):
-        colours = fixed
-    # One place is left free: Pillow marks with it what does not change.
-    room = 255 - len(fixed)
-    median = Image.fromarray(colours[None]).quantize(room, method=Image.Quantize.MEDIANCUT)
-    palette = Image.new("P", (1, 1))
-    palette.putpalette([*fixed.ravel().tolist(), *(median.getpalette() or [])[: 3 * room]])
-    return palette
-
-
-def _indexed(image: Any, palette: Any) -> Any:
-    from PIL import Image
-
-    return image.quantize(palette=palette, dither=Image.Dither.NONE)
-
-
-def _gif(images: Sequence[Any], palette: Any, shown: Sequence[int], factor: float) -> bytes:
-    from PIL import Image
-
-    if factor != 1.0:
-        width, height = (2 * max(1, round(0.5 * factor * n)) for n in images[0].size)
-        images = [
-            _indexed(
-                image.convert("RGB").resize((width, height), Image.Resampling.LANCZOS), palette
-            )
-            for image in images
-        ]
-    stream = io.BytesIO()
-    images[0].save(
-        stream, format="GIF", save_all=True, append_images=images[1:], duration=list(shown),
-        loop=0, optimize=False,
-    )  # fmt: skip
-    return stream.getvalue()
 
 
 # --------------------------------------------------------------------------- all
@@ -863,8 +298,8 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
     """Draw every picture of a motion; the paths, and notices about what fell short.
 
     ``curve.png`` (ways over the ground, speed, turn), ``energy.png`` (the ledger), ``contact.png``
-    (force, area and penetration of each contact), and where fields were written ``snapshots.png``
-    (a strip), ``final.png`` and ``animation.gif``.
+    (force, area, penetration and losses of each contact), and where fields were written
+    ``snapshots.png`` (a strip), ``final.png`` and ``animation.gif``.
     """
     notices: list[str] = []
     written: list[Path] = []
@@ -882,7 +317,7 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
     if contact_names(results):
         plot_contact(results, target / "contact.png")
         written.append(target / "contact.png")
-    frames = _read_frames(results)
+    frames = read_frames(results)
     if frames is None:
         return written, notices
     notice = renderer()[1]

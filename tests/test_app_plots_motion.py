@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexapod.app import plots, plots_motion
+from flexapod.app import plots, plots_frames, plots_ground, plots_motion
 from flexapod.app.outputs import OutputState, ResultsFolder
 from flexapod.contact.ground import Ground, HeightField, Step, slope
 from flexapod.core.errors import InputError
@@ -90,8 +90,8 @@ def _folder(
     return path
 
 
-def _frames(results: plots.Results) -> plots_motion._Frames:
-    frames = plots_motion._read_frames(results)
+def _frames(results: plots.Results) -> plots_frames.Frames:
+    frames = plots_frames.read_frames(results)
     assert frames is not None
     return frames
 
@@ -127,13 +127,13 @@ def _field() -> HeightField:
 def test_height_of_a_slope_is_its_formula() -> None:
     x = np.linspace(-1.0, 2.0, 7)
     angle, level = math.radians(12.7), 0.15
-    z = plots_motion.ground_heights(slope(angle, (0.0, 0.0, level)), x, np.zeros(7))
+    z = plots_ground.ground_heights(slope(angle, (0.0, 0.0, level)), x, np.zeros(7))
     # Falls along +x: z = level - x tan(angle); round-off of the normal's length.
     np.testing.assert_allclose(z, level - x * math.tan(angle), rtol=0.0, atol=1e-15)
 
 
 def test_profile_of_a_step_is_upright() -> None:
-    profile = plots_motion.ground_profile([Step(0.3, 0.02)], 0.0, 1.0)
+    profile = plots_ground.ground_profile([Step(0.3, 0.02)], 0.0, 1.0)
     x, z = profile.T
     assert set(z) == {0.0, 0.02}
     # The last point below and the first above stand over each other.
@@ -150,7 +150,7 @@ def test_height_of_a_field_is_bilinear_with_a_level_rim() -> None:
     x, y = field.x0 + (2 + u) * 0.02, field.y0 + (1 + w) * 0.02
     wanted = (1 - u) * (1 - w) * h[2, 1] + u * (1 - w) * h[3, 1]
     wanted += (1 - u) * w * h[2, 2] + u * w * h[3, 2]
-    z = plots_motion.ground_heights(field, np.array([x, -9.0, 9.0]), np.array([y, -9.0, 9.0]))
+    z = plots_ground.ground_heights(field, np.array([x, -9.0, 9.0]), np.array([y, -9.0, 9.0]))
     # Round-off of x and y over the spacing, times the steepest slope of the field.
     np.testing.assert_allclose(z, [wanted, h[0, 0], h[-1, -1]], rtol=0.0, atol=1e-14)
 
@@ -160,24 +160,24 @@ def test_the_ground_drawn_is_the_ground_touched(ground: Ground) -> None:
     from flexapod.dynamics.contacts import gaps
 
     x, y = np.linspace(-0.2, 0.5, 57), np.linspace(-0.1, 0.1, 57)
-    z = plots_motion.ground_heights(ground, x, y)
+    z = plots_ground.ground_heights(ground, x, y)
     # Round-off: no gap anywhere on the surface.
     np.testing.assert_allclose(gaps(ground, np.column_stack([x, y, z])), 0.0, atol=1e-15)
 
 
 def test_profile_takes_the_highest() -> None:
     grounds = [Step(0.3, 0.02), slope(0.0, (0.0, 0.0, 0.01))]
-    x, z = plots_motion.ground_profile(grounds, 0.0, 1.0).T
+    x, z = plots_ground.ground_profile(grounds, 0.0, 1.0).T
     np.testing.assert_array_equal(z, np.where(x < 0.3, 0.01, 0.02))
     field = _field()
-    wide = plots_motion.ground_profile([field], 0.0, 0.05, half_width=0.02)[:, 1]
-    assert (wide >= plots_motion.ground_profile([field], 0.0, 0.05)[:, 1]).all()
+    wide = plots_ground.ground_profile([field], 0.0, 0.05, half_width=0.02)[:, 1]
+    assert (wide >= plots_ground.ground_profile([field], 0.0, 0.05)[:, 1]).all()
 
 
 def test_grounds_are_read_from_the_resolved_case(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "r", ground={"slope": "12.7 deg", "level": "5 mm"})
-    (ground,) = plots_motion.read_grounds(plots.read_results(folder))
-    z = plots_motion.ground_heights(ground, np.array([1.0]), np.zeros(1))
+    (ground,) = plots_ground.read_grounds(plots.read_results(folder))
+    z = plots_ground.ground_heights(ground, np.array([1.0]), np.zeros(1))
     assert z[0] == pytest.approx(0.005 - math.tan(math.radians(12.7)), abs=1e-15)  # round-off
 
 
@@ -233,7 +233,7 @@ def test_all_pictures_of_a_motion(
 
 def test_up_is_up(tmp_path: Path) -> None:
     results = plots.read_results(_folder(tmp_path / "r", way=(0.0, 0.2), frames=2))
-    plots_motion.plot_animation(results, [], _frames(results), tmp_path / "up.gif")
+    plots_frames.plot_animation(results, [], _frames(results), tmp_path / "up.gif")
     first, last = (_coloured(image) for image in _gif(tmp_path / "up.gif")[0])
     assert last[1] < first[1] - 50.0  # rows count from the top
     assert abs(last[0] - first[0]) < 1.0
@@ -255,9 +255,9 @@ def test_final_in_other_views_and_one_frame(
     results = plots.read_results(
         _folder(tmp_path / "r", ground=ground, plot={"view": view}, frames=1)
     )
-    grounds, frames = plots_motion.read_grounds(results), _frames(results)
+    grounds, frames = plots_ground.read_grounds(results), _frames(results)
     target = tmp_path / "final.png"
-    plots_motion.plot_motion_final(results, grounds, frames, target)
+    plots_frames.plot_motion_final(results, grounds, frames, target)
     from matplotlib.image import imread
 
     # The ground is there, in its colour or a shade of it: grey, but not white.
@@ -265,7 +265,7 @@ def test_final_in_other_views_and_one_frame(
     grey = (np.ptp(image, axis=2) < 0.08) & (image.min(axis=2) > 0.6) & (image.max(axis=2) < 0.95)
     # Measured 4.2 % and 36 %; 0.2 % without ground, the edges of letters.
     assert grey.mean() > 0.02
-    plots_motion.plot_animation(results, grounds, frames, tmp_path / "one.gif")
+    plots_frames.plot_animation(results, grounds, frames, tmp_path / "one.gif")
     assert len(_gif(tmp_path / "one.gif")[0]) == 1
 
 
@@ -285,11 +285,11 @@ def test_a_field_of_rocks_and_one_that_is_gone(
 
 def test_a_run_that_ended_early_says_so(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "a", status="inverted_element", duration=2.0)
-    heading = plots_motion._heading(plots.read_results(folder))
+    heading = plots.heading_of(plots.read_results(folder))
     assert heading == "A box on its way\nrun ended early: inverted element at 0.12 s"
     # Stopped while its pictures were drawn: all is there.
     folder = _folder(tmp_path / "b", status="interrupted")
-    assert plots_motion._heading(plots.read_results(folder)) == "A box on its way"
+    assert plots.heading_of(plots.read_results(folder)) == "A box on its way"
 
 
 def test_contacts_of_a_folder_in_one_call(tmp_path: Path) -> None:
@@ -304,7 +304,7 @@ def test_columns_the_case_asks_for(tmp_path: Path) -> None:
     target = tmp_path / "any.png"
     plot = {"x": "turn_deg", "y": ["kinetic_J"], "snapshots": [46.0, 90.0]}
     results = plots.read_results(_folder(tmp_path / "r", plot=plot))
-    assert plots_motion._wanted_frames(results, _frames(results)) == [2, 4]
+    assert plots_frames._wanted_frames(results, _frames(results)) == [2, 4]
     plots_motion.plot_motion_curve(results, [], target)
     assert target.is_file()
     results = plots.read_results(_folder(tmp_path / "s", plot={"y": ["lift_N"]}))
@@ -323,21 +323,21 @@ def _boxes(x: np.ndarray, z: np.ndarray, width: float) -> np.ndarray:
 def test_strip_takes_frames_that_stand_clear() -> None:
     # Faster and faster over ten widths: even places, not even times.
     x = np.linspace(0.0, 1.0, 41) ** 2
-    chosen = plots_motion.strip_frames(_boxes(x, 0 * x, 0.1))
+    chosen = plots_frames.strip_frames(_boxes(x, 0 * x, 0.1))
     assert chosen is not None
     assert len(chosen) == 7 and chosen[0] == 0 and chosen[-1] == 40
     assert np.diff(x[chosen]).min() > 0.1
     # On the spot, or there and back within two widths: no strip.
-    assert plots_motion.strip_frames(_boxes(0 * x, x, 0.1)) is None
-    assert plots_motion.strip_frames(_boxes(0.19 * x, 0 * x, 0.1)) is None
-    assert plots_motion.strip_frames(_boxes(np.zeros(1), np.zeros(1), 0.1)) is None
+    assert plots_frames.strip_frames(_boxes(0 * x, x, 0.1)) is None
+    assert plots_frames.strip_frames(_boxes(0.19 * x, 0 * x, 0.1)) is None
+    assert plots_frames.strip_frames(_boxes(np.zeros(1), np.zeros(1), 0.1)) is None
 
 
 def test_overlap_is_a_share_of_the_width() -> None:
     x, z = np.array([0.0, 0.05]), np.array([0.0, 0.2])
-    assert plots_motion._overlap(_boxes(x, 0 * z, 0.1)) == pytest.approx(0.5)
+    assert plots_frames._overlap(_boxes(x, 0 * z, 0.1)) == pytest.approx(0.5)
     # One above the other hides nothing.
-    assert plots_motion._overlap(_boxes(x, z, 0.1)) == 0.0
+    assert plots_frames._overlap(_boxes(x, z, 0.1)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -354,7 +354,7 @@ def test_overlap_is_a_share_of_the_width() -> None:
 )
 def test_playing_speed(gap: float, speed: float, shown: float) -> None:
     times = 0.3 + gap * np.arange(41)
-    each, got = plots_motion.playing(times)
+    each, got = plots_frames.playing(times)
     assert got == pytest.approx(speed)
     assert len(each) == 41
     assert min(each) >= 20
@@ -366,9 +366,9 @@ def test_playing_speed(gap: float, speed: float, shown: float) -> None:
 def test_a_gif_too_large_shrinks(tmp_path: Path) -> None:
     results = plots.read_results(_folder(tmp_path / "r", frames=2))
     frames = _frames(results)
-    plots_motion.plot_animation(results, [], frames, tmp_path / "large.gif")
+    plots_frames.plot_animation(results, [], frames, tmp_path / "large.gif")
     size = (tmp_path / "large.gif").stat().st_size
-    plots_motion.plot_animation(results, [], frames, tmp_path / "small.gif", size=size // 2)
+    plots_frames.plot_animation(results, [], frames, tmp_path / "small.gif", size=size // 2)
     assert (tmp_path / "small.gif").stat().st_size <= size // 2
     large, small = (_gif(tmp_path / f"{name}.gif")[0] for name in ("large", "small"))
     assert len(large) == len(small) == 2
