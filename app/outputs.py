@@ -6,6 +6,7 @@
     curve.csv            one row per output state; the heads carry units
     summary.json         status, sizes, time, memory, results, comparison with the reference
     fields.pvd           collection ParaView opens; fields/state_0000.vtu and on
+    rigid.pvd            the same of the surfaces of rigid bodies; fields/rigid_0000.vtu and on
     plots/*.png          drawn from the files above
     checkpoint.h5        the last accepted state, for --resume
 
@@ -36,6 +37,7 @@ CURVE_FILE = "curve.csv"
 SUMMARY_FILE = "summary.json"
 CHECKPOINT_FILE = "checkpoint.h5"
 COLLECTION_FILE = "fields.pvd"
+RIGID_COLLECTION_FILE = "rigid.pvd"
 PLOT_FILES = (
     "curve.png",
     "snapshots.png",
@@ -44,6 +46,29 @@ PLOT_FILES = (
     "contact.png",
     "animation.gif",
 )
+
+
+@dataclass(frozen=True)
+class OutputSurface:
+    """Surfaces of rigid bodies as they are written beside a state.
+
+    Attributes
+    ----------
+    nodes
+        Positions at the start [m], shape (node_count, 3).
+    faces
+        Corner quadruples, outward, shape (face_count, 4).
+    displacement
+        Of the nodes [m], shape (node_count, 3).
+    point_data, cell_data
+        Further fields by name, first axis nodes or faces.
+    """
+
+    nodes: np.ndarray
+    faces: np.ndarray
+    displacement: np.ndarray
+    point_data: dict[str, np.ndarray] = field(default_factory=dict)
+    cell_data: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,6 +85,8 @@ class OutputState:
         Nodal displacements [m], shape (node_count, 3).
     point_data, cell_data
         Further fields by name, first axis nodes or cells.
+    rigid
+        Surfaces of rigid bodies; None without.
     """
 
     time: float
@@ -67,6 +94,7 @@ class OutputState:
     displacement: np.ndarray
     point_data: dict[str, np.ndarray] = field(default_factory=dict)
     cell_data: dict[str, np.ndarray] = field(default_factory=dict)
+    rigid: OutputSurface | None = None
 
 
 @contextmanager
@@ -201,10 +229,13 @@ class ResultsFolder:
 
     def clear(self) -> None:
         """Remove the files of an earlier run, and only those."""
-        for name in (CURVE_FILE, SUMMARY_FILE, CHECKPOINT_FILE, COLLECTION_FILE):
+        for name in (
+            CURVE_FILE, SUMMARY_FILE, CHECKPOINT_FILE, COLLECTION_FILE, RIGID_COLLECTION_FILE
+        ):  # fmt: skip
             (self.path / name).unlink(missing_ok=True)
-        for file in (self.path / "fields").glob("state_*.vtu"):
-            file.unlink()
+        for kind in ("state", "rigid"):
+            for file in (self.path / "fields").glob(f"{kind}_*.vtu"):
+                file.unlink()
         for name in PLOT_FILES:
             (self.path / "plots" / name).unlink(missing_ok=True)
 
@@ -221,6 +252,9 @@ class ResultsFolder:
         """Append a state: its fields, the collection, the row of curve.csv."""
         index = len(self.times)
         write_vtu(self.path / "fields" / f"state_{index:04d}.vtu", nodes, cells, state)
+        if (rigid := state.rigid) is not None:
+            path = self.path / "fields" / f"rigid_{index:04d}.vtu"
+            write_vtu(path, rigid.nodes, rigid.faces, rigid)
         self.times.append(state.time)
         self._write_collection()
         self.write_row(state.row)
@@ -234,19 +268,25 @@ class ResultsFolder:
         """Go back to the states of a checkpoint; later ones are dropped."""
         self.rows = [dict(row) for row in rows]
         self.times = [float(time) for time in times]
-        for file in (self.path / "fields").glob("state_*.vtu"):
-            if int(file.stem.removeprefix("state_")) >= len(self.times):
-                file.unlink()
+        for kind in ("state", "rigid"):
+            for file in (self.path / "fields").glob(f"{kind}_*.vtu"):
+                if int(file.stem.removeprefix(f"{kind}_")) >= len(self.times):
+                    file.unlink()
         self._write_collection()
         self._write_curve()
 
     def _write_collection(self) -> None:
+        self._write_one_collection(COLLECTION_FILE, "state")
+        if (self.path / "fields" / "rigid_0000.vtu").is_file():
+            self._write_one_collection(RIGID_COLLECTION_FILE, "rigid")
+
+    def _write_one_collection(self, name: str, kind: str) -> None:
         entries = "\n".join(
-            f'    <DataSet timestep="{time:.9g}" part="0" file="fields/state_{index:04d}.vtu"/>'
+            f'    <DataSet timestep="{time:.9g}" part="0" file="fields/{kind}_{index:04d}.vtu"/>'
             for index, time in enumerate(self.times)
         )
         write_text(
-            self.path / COLLECTION_FILE,
+            self.path / name,
             '<?xml version="1.0"?>\n'
             '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
             f"  <Collection>\n{entries}\n  </Collection>\n</VTKFile>\n",
@@ -305,8 +345,10 @@ class ResultsFolder:
         return arrays, about
 
 
-def write_vtu(path: Path, nodes: np.ndarray, cells: np.ndarray, state: OutputState) -> None:
-    """Write one state for ParaView: compressed binary, fields in single precision."""
+def write_vtu(
+    path: Path, nodes: np.ndarray, cells: np.ndarray, state: OutputState | OutputSurface
+) -> None:
+    """Write hexahedra or quadrilaterals for ParaView: compressed binary, fields in single."""
     import meshio
 
     def single(array: np.ndarray) -> np.ndarray:
@@ -315,7 +357,7 @@ def write_vtu(path: Path, nodes: np.ndarray, cells: np.ndarray, state: OutputSta
 
     mesh = meshio.Mesh(
         nodes,
-        [("hexahedron", cells)],
+        [("hexahedron" if cells.shape[1] == 8 else "quad", cells)],
         point_data={
             "displacement": single(state.displacement),
             **{name: single(data) for name, data in state.point_data.items()},
