@@ -290,7 +290,7 @@ def assemble(loaded: LoadedCase, mesh: TaggedMesh) -> Assembly:
     node_mass = body.node_mass + carried_mass(loaded, mesh, body)
     loads: list[Any] = []
     if case.gravity is not None:
-        loads.append(fem_loads.gravity("gravity", node_mass, case.gravity.acceleration))
+        loads.append(fem_loads.gravity("gravity", node_mass, case.gravity.tilted()))
     for force in case.force:
         faces = surface_faces(mesh, force.surface, f"{source}: force.{force.name}.surface")
         loads.append(fem_loads.surface_force(force.name, mesh.nodes, faces, force.total))
@@ -420,7 +420,7 @@ def surface_modulus(mesh: TaggedMesh, body: SolidBody, faces: np.ndarray) -> flo
     return min(3.0 * body.materials[i].law.shear_modulus for i in used)
 
 
-_INCOMPRESSIBLE = 0.5
+INCOMPRESSIBLE = 0.5
 
 
 def _contacts(
@@ -454,34 +454,47 @@ def _contacts(
     return contacts
 
 
-def contact_law(spec: Any, modulus: float, other: float) -> ContactLaw:
-    """Law of faces against faces, from Young's moduli of both [Pa]."""
-    return _law(spec, modulus, other, _INCOMPRESSIBLE)
-
-
-def _law(
-    spec: Any, modulus: float, other: float, other_poisson: float, friction: float = 0.0
+def contact_law(
+    spec: Any,
+    modulus: float,
+    other: float,
+    other_poisson: float = INCOMPRESSIBLE,
+    friction: float = 0.0,
 ) -> ContactLaw:
+    """Law of a surface against another, from Young's moduli of both [Pa].
+
+    Damping and the stiffness of sticking are those of a motion where `spec` has them.
+    """
+    from flexapod.app.spec_contact import MovingContact
     from flexapod.contact.law import ContactLaw, hertz_stiffness
 
+    moving = {}
+    if isinstance(spec, MovingContact):
+        moving = {
+            "stick_stiffness": spec.stick_stiffness,
+            "damping_ratio": spec.damping,
+            "damping_exponent": spec.damping_exponent,
+            "indentation_exponent": spec.indentation_exponent,
+        }
     stiffness = spec.stiffness
     if stiffness is None:
         stiffness = hertz_stiffness(
-            modulus, _INCOMPRESSIBLE, other, other_poisson, spec.radius, spec.radius
+            modulus, INCOMPRESSIBLE, other, other_poisson, spec.radius, spec.radius
         )
     return ContactLaw(
         stiffness,
         stiffness_exponent=spec.exponent,
         reference_area=spec.reference_area,
         friction=friction,
+        **moving,
     )
 
 
 def _plane_law(spec: ContactPlaneSpec, modulus: float) -> ContactLaw:
     if not spec.mirror:
         other = math.inf if spec.youngs_modulus is None else spec.youngs_modulus
-        return _law(spec, modulus, other, spec.poisson, spec.friction)
-    law = _law(spec, modulus, modulus, _INCOMPRESSIBLE)
+        return contact_law(spec, modulus, other, spec.poisson, spec.friction)
+    law = contact_law(spec, modulus, modulus)
     # The image comes as far as the body: penetration counts twice, F = k (2 d)**m.
     return dataclasses.replace(law, stiffness=law.stiffness * 2.0**spec.exponent)
 

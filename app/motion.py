@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from flexapod.app.case import LoadedCase, package_version
-from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape
+from flexapod.app.motion_model import (
+    Motion,
+    Say,
+    assemble_motion,
+    restore_scaled,
+    scaled_arrays,
+    start_shape,
+)
+from flexapod.app.motion_rigid import RigidTracks
 from flexapod.app.outputs import CHECKPOINT_FILE, OutputState, ResultsFolder, peak_memory
 from flexapod.app.probes import Probe, make_probes
 from flexapod.core.errors import InputError, SolverError, Status
@@ -28,6 +36,7 @@ class _Recorder:
         self.folder = folder
         self.probes: list[Probe] = make_probes(loaded, motion.mesh)
         self.previous = {probe.head: 0.0 for probe in self.probes}
+        self.tracks = RigidTracks(motion.model, motion.rigid)
         spec = loaded.case.dynamics
         assert spec is not None
         self.intervals = round(spec.duration / spec.interval)
@@ -44,10 +53,11 @@ class _Recorder:
     def row(self, energies: Energies) -> dict[str, float]:
         """Columns at the state of the last forces."""
         from flexapod.dynamics import kernels
+        from flexapod.dynamics.contacts import AREA, BY_DAMPING, BY_FRICTION, COUNT, DEPTH, SLID
 
         model, state, work = self.motion.model, self.motion.state, self.motion.work
         sums = np.zeros(10)
-        kernels.momentum(model.mass, model.owner, state.x, state.v, sums)
+        kernels.momentum(model.own_mass, model.owner, state.x, state.v, sums)
         rigid = model.rigid.mass
         mass = sums[0] + rigid.sum()
         centre = (sums[1:4] + (rigid[:, None] * state.rigid_x).sum(axis=0)) / mass
@@ -64,18 +74,29 @@ class _Recorder:
             value = probe.sample(state.x, reactions, self.previous[probe.head])
             self.previous[probe.head] = value
             row[probe.head] = value
+        names = [p.name for p in self.loaded.case.probe if p.type == "track"]
+        for name in ("centre", *names):
+            speed, acceleration = _differences(self.folder.rows, row, name)
+            if name != "centre":
+                row[f"{name}_speed_m_s"] = speed
+            row[f"{name}_acceleration_m_s2"] = acceleration
         row["turn_deg"] = self._turned()
+        row.update(self.tracks.columns(state))
         for name in (
             "kinetic", "strain", "weight", "contact", "bond", "pressure_work", "contact_loss",
             "mass_damping_loss", "internal_loss", "viscous_loss", "bond_loss", "unaccounted",
         ):  # fmt: skip
             row[f"{name}_J"] = float(getattr(energies, name))
-        for contact in model.contacts:
-            totals = contact.totals
+        for contact, history in zip(model.contacts, state.histories, strict=True):
+            totals, spent = contact.totals, history["spent"]
             row[f"{contact.name}_force_N"] = contact.pressing()
-            row[f"{contact.name}_area_mm2"] = 1e6 * float(totals[2])
-            row[f"{contact.name}_depth_mm"] = 1e3 * float(totals[3])
-            row[f"{contact.name}_points"] = float(totals[7])
+            row[f"{contact.name}_friction_N"] = contact.rubbing()
+            row[f"{contact.name}_area_mm2"] = 1e6 * float(totals[AREA])
+            row[f"{contact.name}_depth_mm"] = 1e3 * float(totals[DEPTH])
+            row[f"{contact.name}_points"] = float(totals[COUNT])
+            row[f"{contact.name}_slid_mm"] = 1e3 * float(spent[SLID])
+            row[f"{contact.name}_friction_loss_J"] = float(spent[BY_FRICTION])
+            row[f"{contact.name}_damping_loss_J"] = float(spent[BY_DAMPING])
         for bond, totals in zip(model.bonds, work.bond_totals, strict=True):
             row[f"bond_{bond.name}_force_N"] = float(np.linalg.norm(totals[1:4]))
         row["time_step_us"] = 1e6 * state.dt_before
@@ -120,20 +141,28 @@ class _Recorder:
         model, body = self.motion.model, self.motion.body
         count = model.mesh_node_count
         fields = body.fields(state.u[:count])
-        pressure = np.zeros(model.node_count)
-        for contact in model.contacts:
-            pressure = np.maximum(pressure, contact.nodal_pressure(model.node_count))
+        pressures = {c.name: c.nodal_pressure(model.node_count) for c in model.contacts}
+        pressure = np.max([np.zeros(model.node_count), *pressures.values()], axis=0)
+        # Each contact's own map too, where there is more than one.
+        own = {
+            f"contact_pressure_{name}": values[:count]
+            for name, values in pressures.items()
+            if len(pressures) > 1
+        }
         return OutputState(
             state.time,
             row,
             state.u[:count],
-            {"contact_pressure": pressure[:count], "velocity": state.v[:count]},
+            {"contact_pressure": pressure[:count], **own, "velocity": state.v[:count]},
             {
                 "pressure": fields.pressure,
                 "principal_stretches": fields.principal_stretches,
                 "cauchy_stress": fields.cauchy_stress.reshape(-1, 9),
                 "material": body.material.astype(np.int32),
             },
+            self.motion.rigid.output(
+                state.u[count:], {"contact_pressure": pressure[count:], "velocity": state.v[count:]}
+            ),
         )
 
     def checkpoint(self, state: State) -> None:
@@ -148,10 +177,12 @@ class _Recorder:
         if self.motion.model.viscous is not None:
             history = self.motion.model.viscous.history()
             arrays = {**arrays, **{f"viscous.{key}": value for key, value in history.items()}}
+        arrays = {**arrays, **scaled_arrays(self.motion.model)}
         if self.sample_start is not None:
             arrays = {**arrays, "sample_start": self.sample_start}
         if self.centre_start is not None:
             arrays = {**arrays, "centre_start": self.centre_start}
+        arrays = {**arrays, **self.tracks.to_arrays()}
         self.folder.write_checkpoint(
             arrays, {"state": about, "recorder": extra, "flexapod_version": package_version()}
         )
@@ -170,8 +201,10 @@ class _Recorder:
             self.motion.model.viscous.restore(
                 {key.removeprefix("viscous."): value for key, value in viscous.items()}
             )
+        restore_scaled(self.motion.model, self.motion.work, arrays)
         self.sample_start = arrays.pop("sample_start", None)
         self.centre_start = arrays.pop("centre_start", None)
+        self.tracks.restore(arrays)
         self.previous.update(extra["previous"])
         self.turn = extra["turn"]
         self.largest_energy = extra["largest_energy"]
@@ -184,6 +217,30 @@ class _Recorder:
             )
         self.motion.state = state
         return True
+
+
+def _differences(
+    rows: Sequence[Mapping[str, float]], row: Mapping[str, float], name: str
+) -> tuple[float, float]:
+    """Speed [m/s] and acceleration [m/s2] of a point over the last interval, and the last two.
+
+    Differences of the places in the rows: what a camera with that interval would see. Zero in the
+    first row, and the acceleration in the second.
+    """
+    if not rows:
+        return 0.0, 0.0
+    heads = [f"{name}_{axis}_mm" for axis in "xyz"]
+    places = [np.array([r[head] for head in heads]) for r in (*rows[-2:], row)]
+    times = [r["time_s"] for r in (*rows[-2:], row)]
+    speeds = [
+        1e-3 * (b - a) / (end - begin)
+        for a, b, begin, end in zip(places, places[1:], times, times[1:], strict=False)
+    ]
+    speed = float(np.linalg.norm(speeds[-1]))
+    if len(speeds) < 2:
+        return speed, 0.0
+    change = speeds[1] - speeds[0]
+    return speed, float(np.linalg.norm(change)) / (0.5 * (times[2] - times[0]))
 
 
 def run_motion(
@@ -311,10 +368,7 @@ def _results(
         results["distance_m"] = 1e-3 * float(np.linalg.norm(now - recorder.centre_start))
         results["peak_speed_m_s"] = max(row["speed_m_s"] for row in rows)
         results["turns"] = last["turn_deg"] / 360.0
-        times = np.array([row["time_s"] for row in rows])
-        speeds = np.array([row["speed_m_s"] for row in rows])
-        if len(rows) > 2:
-            results["peak_acceleration_m_s2"] = float(np.abs(np.gradient(speeds, times)).max())
+        results["peak_acceleration_m_s2"] = max(row["centre_acceleration_m_s2"] for row in rows)
         worst = max(abs(row["unaccounted_J"]) for row in rows)
         results["energy_balance"] = worst / max(recorder.largest_energy, 1e-300)
         results["largest_energy_J"] = recorder.largest_energy

@@ -19,7 +19,8 @@ from flexapod.app.assemble import (
     modelled_fraction,
 )
 from flexapod.app.case import LoadedCase, load_case, package_version, start_case
-from flexapod.app.motion_parts import make_bonds, make_chambers, make_contacts, make_rigid
+from flexapod.app.motion_parts import make_bonds, make_chambers, make_contacts
+from flexapod.app.motion_rigid import RigidParts, make_rigid, set_in_motion
 from flexapod.app.outputs import ResultsFolder
 from flexapod.app.spec_dynamics import StartSpec
 from flexapod.core.errors import InputError, SolverError, Status
@@ -47,6 +48,7 @@ class Motion:
     ground: Any  # the first ground; None without
     mass: float  # of everything [kg], of the modelled part
     shape: Shape  # before it was turned and set down
+    rigid: RigidParts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,11 +125,13 @@ def assemble_motion(
     say: Say,
     settle: bool = True,
     settled: Shape | None = None,
+    sink: bool = True,
 ) -> Motion:
     """Look up everything a case names and make the model and its first state.
 
     Without `settle` the start shape is left as it is: for a run that goes on from a checkpoint.
-    With `settled` (`settled_shape`) it is that one.
+    With `settled` (`settled_shape`) it is that one. Without `sink` it is not made to bear its
+    weight.
     """
     from flexapod.dynamics.integrator import Workspace, scale_mass
     from flexapod.dynamics.model import Damping, Model
@@ -163,12 +167,13 @@ def assemble_motion(
     spec, spec_start = case.dynamics, case.start
     supports = make_supports(loaded, mesh)
     rigid = make_rigid(loaded, mesh, body, carried, supports)
-    ground, contacts = make_contacts(loaded, mesh, body)
-    gravity = case.gravity.acceleration if case.gravity is not None else (0.0, 0.0, 0.0)
+    ground, contacts = make_contacts(loaded, mesh, body, rigid)
+    gravity = case.gravity.tilted() if case.gravity is not None else (0.0, 0.0, 0.0)
     model = Model(
         body,
         rigid=rigid.bodies,
         rigid_centres=rigid.centres,
+        rigid_nodes=(rigid.nodes, rigid.owner),
         tied=rigid.tied,
         carried_mass=carried,
         displacements=supports,
@@ -186,32 +191,48 @@ def assemble_motion(
     if settled is not None:
         shape = settled
     elif settle and spec_start is not None and spec_start.settle > 0.0:
-        shape = _settle(model, u, spec_start, [bond.closed for bond in case.bond], say)
+        shape = _settle(model, u, spec_start, rigid, [bond.closed for bond in case.bond], say)
     for bond, shut in zip(model.bonds, case.bond, strict=True):
         if shut.closed:
             bond.length[:] = 0.0
-    state = model.start(_set_down(loaded, mesh, shape.u, ground))
+    along = _carried_along(model, rigid, shape.u)
+    state = model.start(_set_down(loaded, mesh, shape.u, ground, along))
     for k, contact in enumerate(model.contacts):
         if contact.name in shape.histories:
             # Gaps do not change as the whole is turned and set down.
             kept = shape.histories[contact.name]
             state.histories[k] = {key: value.copy() for key, value in kept.items()}
-    if settle and ground is not None and spec_start is not None and spec_start.rest:
-        if spec_start.set_down > 0.0 and model.gravity.any():
-            _sink_in(model, state, spec_start, ground_slope(loaded), say)
+    if settle and sink and _is_set_down(spec_start, model, ground):
+        assert spec_start is not None
+        _sink_in(model, state, spec_start, rigid, ground_slope(loaded), say)
+    set_in_motion(model, state, rigid)
     free = model.owner < 0
-    total = float(model.mass[free].sum() + model.rigid.mass.sum())
-    return Motion(mesh, body, model, state, work, ground, total, shape)
+    total = float(model.own_mass[free].sum() + model.rigid.mass.sum())
+    return Motion(mesh, body, model, state, work, ground, total, shape, rigid)
 
 
-def _settle(model: Model, u: np.ndarray, spec: StartSpec, closed: list[bool], say: Say) -> Shape:
-    """The shape after it has come to rest without weight and ground, its ends drawn together."""
-    from flexapod.dynamics.contacts import GroundContact
+def _settle(
+    model: Model,
+    u: np.ndarray,
+    spec: StartSpec,
+    rigid: RigidParts,
+    closed: list[bool],
+    say: Say,
+) -> Shape:
+    """The shape after it has come to rest without weight and ground, its ends drawn together.
+
+    Nor does it meet loose bodies: those have their place in space, which it has not yet.
+    """
+    from flexapod.dynamics.contacts import SurfaceContact
     from flexapod.dynamics.integrator import Workspace
 
     still = _at_rest(model, spec)
     still.gravity = np.zeros(3)
-    still.contacts = [c for c in model.contacts if not isinstance(c, GroundContact)]
+    still.contacts = [
+        c
+        for c in model.contacts
+        if isinstance(c, SurfaceContact) and not rigid.among(c.watched, model.owner)
+    ]
     # Drawn together by whatever it takes; what holds it then is asked below.
     still.bonds = [
         dataclasses.replace(
@@ -237,15 +258,18 @@ def _settle(model: Model, u: np.ndarray, spec: StartSpec, closed: list[bool], sa
     return Shape(settled.copy(), touching)
 
 
-def _sink_in(model: Model, state: State, spec: StartSpec, slope: float, say: Say) -> None:
+def _sink_in(
+    model: Model, state: State, spec: StartSpec, rigid: RigidParts, slope: float, say: Say
+) -> None:
     """Let the body bear its weight on the ground, held back from going downhill, until it rests.
 
-    Weight without its part along the slope is eased on. So a motion begins with the body flattened
-    as it lies, not with a fall into its own flattening.
+    Loose bodies are held where they are. Weight without its part along the slope is eased on. So a
+    motion begins with the body flattened as it lies, not with a fall into its own flattening.
     """
     from flexapod.dynamics.integrator import Workspace
 
     still = _at_rest(model, spec)
+    still.rigid = rigid.held()
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     weight = (model.gravity @ normal) * normal
     still.gravity = np.zeros(3)
@@ -307,7 +331,27 @@ def settled_shape(
     loaded: LoadedCase, start: tuple[LoadedCase, np.ndarray] | None, say: Say
 ) -> Shape:
     """The unfolded start shape at rest, without weight and ground."""
-    return assemble_motion(loaded, start, say).shape
+    return assemble_motion(loaded, start, say, sink=False).shape
+
+
+def scaled_arrays(model: Model) -> dict[str, np.ndarray]:
+    """What a checkpoint keeps of mass scaling: it was made for a shape that is gone."""
+    if model.scaled_mass == 0.0:
+        return {}
+    return {
+        "scaled.mass": model.mass,
+        "scaled.element_mass": model.element_mass,
+        "scaled.added": np.array([model.scaled_mass]),
+    }
+
+
+def restore_scaled(model: Model, work: Workspace, arrays: dict[str, np.ndarray]) -> None:
+    """Take `scaled_arrays` out of the arrays of a checkpoint."""
+    if "scaled.mass" in arrays:
+        model.mass = arrays.pop("scaled.mass")
+        model.element_mass = arrays.pop("scaled.element_mass")
+        model.scaled_mass = float(arrays.pop("scaled.added")[0])
+        work.inverse_mass = 1.0 / model.mass
 
 
 def centre(model: Model, state: State) -> np.ndarray:
@@ -315,10 +359,16 @@ def centre(model: Model, state: State) -> np.ndarray:
     from flexapod.dynamics import kernels
 
     sums = np.zeros(10)
-    kernels.momentum(model.mass, model.owner, state.x, state.v, sums)
+    kernels.momentum(model.own_mass, model.owner, state.x, state.v, sums)
     rigid = model.rigid.mass
     first = sums[1:4] + (rigid[:, None] * state.rigid_x).sum(axis=0)
     return np.asarray(first / (sums[0] + rigid.sum()))
+
+
+def _is_set_down(spec: StartSpec | None, model: Model, ground: Any) -> bool:
+    if spec is None or ground is None or not model.gravity.any():
+        return False
+    return spec.rest and spec.set_down > 0.0
 
 
 def ground_slope(loaded: LoadedCase) -> float:
@@ -326,8 +376,21 @@ def ground_slope(loaded: LoadedCase) -> float:
     return max((c.slope for c in loaded.case.contact if c.type == "ground"), default=0.0, key=abs)
 
 
-def _set_down(loaded: LoadedCase, mesh: TaggedMesh, u: np.ndarray, ground: Any) -> np.ndarray:
-    """Turn the start shape with the slope and lower it until its lowest node touches."""
+def _carried_along(model: Model, rigid: RigidParts, u: np.ndarray) -> np.ndarray:
+    """Places of the surface nodes of tied bodies [m] at the mesh's displacements `u` [m]."""
+    own = np.flatnonzero(~rigid.loose[rigid.owner])
+    if not own.size:
+        return np.zeros((0, 3))
+    return np.asarray(model.start(u).x[model.mesh_node_count + own])
+
+
+def _set_down(
+    loaded: LoadedCase, mesh: TaggedMesh, u: np.ndarray, ground: Any, along: np.ndarray
+) -> np.ndarray:
+    """Turn the start shape with the slope and lower it until its lowest node touches.
+
+    `along` are further points [m] that go with it, shape (point_count, 3).
+    """
     from flexapod.dynamics.contacts import gaps
 
     spec = loaded.case.start
@@ -335,7 +398,7 @@ def _set_down(loaded: LoadedCase, mesh: TaggedMesh, u: np.ndarray, ground: Any) 
         return u
     slope = ground_slope(loaded)
     angle = spec.turn + (slope if spec.rest else 0.0)
-    x = mesh.nodes + u
+    x = np.concatenate([mesh.nodes + u, along])
     c, s = math.cos(angle), math.sin(angle)
     turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     if angle != 0.0:
@@ -346,4 +409,4 @@ def _set_down(loaded: LoadedCase, mesh: TaggedMesh, u: np.ndarray, ground: Any) 
             if abs(lowest) < 1e-9:
                 break
             x = x - lowest * np.array([math.sin(slope), 0.0, math.cos(slope)])
-    return np.asarray(x - mesh.nodes)
+    return np.asarray(x[: len(mesh.nodes)] - mesh.nodes)

@@ -1,4 +1,4 @@
-"""Parts of a moving case's model: rigid bodies, contacts, ground, chambers and bonds."""
+"""Parts of a moving case's model: contacts, ground, chambers and bonds."""
 
 from __future__ import annotations
 
@@ -8,119 +8,82 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flexapod.app.assemble import (
-    contact_law,
-    group_cells,
-    match_names,
-    surface_faces,
-    surface_modulus,
-)
+from flexapod.app.assemble import contact_law, surface_faces
 from flexapod.app.case import LoadedCase
+from flexapod.app.motion_rigid import RigidParts, contact_surface
 from flexapod.core.errors import InputError
 
 if TYPE_CHECKING:
+    from flexapod.app.spec_contact import MovingContact
+    from flexapod.contact.law import FrictionLaw
     from flexapod.dynamics.commands import Chamber
     from flexapod.dynamics.contacts import DynamicContact
     from flexapod.dynamics.model import Bond
     from flexapod.fem.body import SolidBody
     from flexapod.geometry.tagged import TaggedMesh
 
-# Of sticking on the ground [Pa/m]. Statics takes a hundredth, for the sake of Newton's method. In
-# motion that is too soft: each point of a rolling body has to be sheared anew, and the body creeps
-# (a rigid cylinder by 2 %, tests/verification/test_dynamics_contact.py).
-STICK_STIFFNESS = 1e9
-
-
-@dataclasses.dataclass
-class RigidParts:
-    bodies: Any
-    centres: np.ndarray
-    tied: dict[str, np.ndarray]
-
-
-def make_rigid(
-    loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, carried: np.ndarray, supports: Any
-) -> RigidParts:
-    """One rigid body per cell group, with the mass its nodes carry."""
-    from flexapod.dynamics.rigid import RigidBodies
-
-    tied: dict[str, np.ndarray] = {}
-    for index, spec in enumerate(loaded.case.rigid):
-        where = f"{loaded.source}: rigid.{index}.group"
-        for name in match_names([spec.group], mesh.cell_groups, "cell", where):
-            tied[name] = np.unique(mesh.cells[group_cells(mesh, name, where)])
-    if not tied:
-        return RigidParts(RigidBodies.empty(), np.zeros((0, 3)), {})
-    nodal = body.node_mass + carried
-    mass, centre, inertia, free = [], [], [], []
-    for nodes in tied.values():
-        # Point masses at the nodes: what the lumped mesh itself has, carried mass included, and
-        # so also what surrounding silicone lumps onto the surface.
-        m, x = nodal[nodes], mesh.nodes[nodes]
-        c = (m[:, None] * x).sum(axis=0) / m.sum()
-        r = x - c
-        square = (r * r).sum(axis=1)
-        mass.append(m.sum())
-        centre.append(c)
-        inertia.append(
-            (m[:, None, None] * (square[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :]))
-            .sum(axis=0)
-        )  # fmt: skip
-        lock = np.ones(6, dtype=bool)
-        for part in supports:
-            if np.intersect1d(part.node_index, nodes).size:
-                # A node in a plane of symmetry keeps its body from leaving or turning out of it.
-                lock[part.axis] = False
-                lock[[3 + i for i in range(3) if i != part.axis]] = False
-        free.append(lock)
-    bodies = RigidBodies(tuple(tied), np.array(mass), np.array(inertia), np.array(free))
-    return RigidParts(bodies, np.array(centre), tied)
+# Of contact where both partners are rigid [Pa], which has to give somewhere: a block of 0.1 m of
+# water's density sinks in by 3 um.
+RIGID_MODULUS = 1e6
 
 
 def make_contacts(
-    loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody
+    loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, rigid: RigidParts
 ) -> tuple[Any, list[DynamicContact]]:
     from flexapod.dynamics.contacts import GroundContact, SurfaceContact
 
     first: Any = None
     contacts: list[DynamicContact] = []
+    nodes = rigid.all_nodes(mesh)
     for index, spec in enumerate(loaded.case.contact):
         where = f"{loaded.source}: contact.{index}"
         name = f"{spec.type}_{index}"
-        faces = surface_faces(mesh, spec.surface, f"{where}.surface")  # type: ignore[union-attr]
-        modulus = surface_modulus(mesh, body, faces)
+        patterns: tuple[str, ...] = spec.surface  # type: ignore[union-attr]
+        faces, modulus = contact_surface(mesh, body, rigid, patterns, f"{where}.surface")
         if spec.type == "ground":
             ground = make_ground(loaded, spec, where)
-            law = _ground_law(modulus, spec.exponent)
-            contacts.append(GroundContact(name, mesh.nodes, faces, ground, law, skin=spec.skin))
+            other = math.inf if spec.youngs_modulus is None else spec.youngs_modulus
+            if math.isinf(modulus) and math.isinf(other):
+                modulus = RIGID_MODULUS
+            law = contact_law(spec, modulus, other, spec.poisson)
+            contacts.append(GroundContact(name, nodes, faces, ground, law, skin=spec.skin))
             first = first or ground
             continue
         partner, other = faces, modulus
         if spec.type == "pair":
-            partner = surface_faces(mesh, spec.against, f"{where}.with")
-            other = surface_modulus(mesh, body, partner)
+            partner, other = contact_surface(mesh, body, rigid, spec.against, f"{where}.with")
+        elif faces.max() >= len(mesh.nodes):
+            raise InputError('rigid bodies meet others by type = "pair"', f"{where}.surface")
+        if math.isinf(modulus) and math.isinf(other):
+            modulus = RIGID_MODULUS
         law = contact_law(spec, modulus, other)
         contacts.append(
-            SurfaceContact(name, mesh.nodes, faces, partner, law, depth=spec.depth)  # type: ignore[union-attr]
+            SurfaceContact(
+                name,
+                nodes,
+                faces,
+                partner,
+                law,
+                depth=spec.depth,  # type: ignore[union-attr]
+                friction=make_friction(spec),  # type: ignore[arg-type]
+            )
         )
     return first, contacts
 
 
-def _ground_law(modulus: float, exponent: float) -> Any:
-    from flexapod.contact.law import ContactLaw, hertz_stiffness
+def make_friction(spec: MovingContact) -> FrictionLaw:
+    """Friction of a contact's table."""
+    from flexapod.contact.law import FrictionLaw
 
-    radius = 500.0  # [m], of either side in the paper's law
-    stiffness = hertz_stiffness(modulus, 0.5, math.inf, 0.3, radius, radius)
-    return ContactLaw(stiffness, stiffness_exponent=exponent, stick_stiffness=STICK_STIFFNESS)
+    dynamic = spec.friction if spec.friction_dynamic is None else spec.friction_dynamic
+    return FrictionLaw(spec.friction, dynamic, spec.static_speed, spec.dynamic_speed)
 
 
 def make_ground(loaded: LoadedCase, spec: Any, where: str) -> Any:
     """The ground a contact table describes."""
     from flexapod.contact.ground import HeightField, Step, slope
-    from flexapod.contact.law import FrictionLaw
 
-    dynamic = spec.friction if spec.friction_dynamic is None else spec.friction_dynamic
-    friction = FrictionLaw(spec.friction, dynamic, spec.static_speed, spec.dynamic_speed)
+    friction = make_friction(spec)
     if spec.shape == "step":
         return Step(spec.step_at, spec.step_height, friction)
     if spec.shape == "plane":

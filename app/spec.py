@@ -8,21 +8,21 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from flexapod.app.spec_base import Axis, Names, Table, Triple, default_text, one_or_many
+from flexapod.app.spec_contact import ContactBase, MovingContact
 from flexapod.app.spec_dynamics import (
     BondSpec,
     ContactGroundSpec,
     DynamicsSpec,
     ProbeTrackSpec,
     PumpSpec,
-    RigidSpec,
     SearchSpec,
     StartSpec,
 )
+from flexapod.app.spec_rigid import RigidSpec
 from flexapod.core.units import (
     Acceleration,
+    Angle,
     AnyModulus,
-    Area,
-    ContactStiffness,
     Density,
     Force,
     Length,
@@ -152,6 +152,17 @@ class GravitySpec(Table):
     acceleration: tuple[Acceleration, Acceleration, Acceleration] = Field(
         default=default_text("0 m/s^2", "0 m/s^2", "-9.8 m/s^2")
     )
+    tilt: Angle = Field(
+        default=default_text("0 deg"),
+        description="Turned about the y axis by this: level ground as a slope that goes down "
+        "towards +x.",
+    )
+
+    def tilted(self) -> tuple[float, float, float]:
+        """The acceleration turned by `tilt` [m/s2]."""
+        x, y, z = self.acceleration
+        c, s = math.cos(self.tilt), math.sin(self.tilt)
+        return (c * x - s * z, y, s * x + c * z)
 
 
 class MassSpec(Table):
@@ -227,26 +238,7 @@ def _with_length(value: Triple) -> Triple:
     return value
 
 
-class _ContactBase(Table):
-    surface: Names = Field(description="Surface groups of the body; globs allowed.")
-    stiffness: ContactStiffness | None = Field(
-        default=None, description="Overrides the paper's k = sqrt(16 R E^2 / 9)."
-    )
-    radius: PositiveLength = Field(
-        default=default_text("500 m"), description="Radius of each side in the paper's law."
-    )
-    exponent: Annotated[float, Field(ge=1, le=4)] = Field(
-        default=2.0, description="Exponent of the penetration: 2 in the paper, 1.5 for Hertz."
-    )
-    reference_area: Area = Field(
-        default=default_text("9 mm^2"),
-        description="Area one contact point of the paper's law stands for.",
-    )
-
-    _surface = field_validator("surface", mode="before")(one_or_many)
-
-
-class _FaceContactBase(_ContactBase):
+class _FaceContactBase(MovingContact, ContactBase):
     depth: PositiveLength = Field(
         default=default_text("1 mm"),
         description="Deepest penetration still seen; less than half the thinnest wall.",
@@ -254,12 +246,12 @@ class _FaceContactBase(_ContactBase):
 
 
 class ContactSelfSpec(_FaceContactBase):
-    """Faces of the body against each other, found by search; no friction."""
+    """Faces of the body against each other, found by search; friction in motion only."""
 
     type: Literal["self"]
 
 
-class ContactPlaneSpec(_ContactBase):
+class ContactPlaneSpec(ContactBase):
     """The body against a fixed plane: the ground, a wall, a rigid block's face."""
 
     type: Literal["plane"]
@@ -282,7 +274,7 @@ class ContactPlaneSpec(_ContactBase):
 
 
 class ContactPairSpec(_FaceContactBase):
-    """Named surfaces against other named surfaces; no friction."""
+    """Named surfaces against other named surfaces; friction in motion only."""
 
     type: Literal["pair"]
     against: Names = Field(alias="with", description="The other surface groups; globs allowed.")
@@ -557,6 +549,15 @@ class Case(Table):
                 "bond": self.bond,
                 "search": self.search,
                 'contact of type "ground"': [c for c in self.contact if c.type == "ground"],
+                **{
+                    f"{key} of a contact between faces": [
+                        c
+                        for c in self.contact
+                        if isinstance(c, _FaceContactBase)
+                        and getattr(c, key) != getattr(MovingContact(), key)
+                    ]
+                    for key in MovingContact.model_fields
+                },
                 'probe of type "track"': [p for p in self.probe if p.type == "track"],
                 "over_time or pump of pressure": [
                     p for p in self.pressure if p.over_time is not None or p.pump is not None

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from flexapod.app.spec_base import Axis, Names, Table, default_text, one_or_many
+from flexapod.app.spec_contact import Coefficient, ContactBase, MovingContact
 from flexapod.core.units import (
     Angle,
     BondStiffness,
@@ -14,6 +15,7 @@ from flexapod.core.units import (
     Flow,
     Force,
     Length,
+    Modulus,
     PositiveLength,
     PositiveTime,
     Pressure,
@@ -111,12 +113,6 @@ class StartSpec(Table):
     )
 
 
-class RigidSpec(Table):
-    """Cell groups that move as rigid bodies, one each; globs allowed."""
-
-    group: str
-
-
 class BondSpec(Table):
     """Two surfaces of the curled body that hold each other: magnets, bolts or glue."""
 
@@ -138,11 +134,10 @@ class BondSpec(Table):
     )
 
 
-class ContactGroundSpec(Table):
+class ContactGroundSpec(MovingContact, ContactBase):
     """Fixed ground of a moving body: plane, slope, step or height field, with friction."""
 
     type: Literal["ground"]
-    surface: Names
     shape: Literal["plane", "step", "field"] = "plane"
     slope: Angle = Field(
         default=default_text("0 deg"),
@@ -162,20 +157,18 @@ class ContactGroundSpec(Table):
     relief: PositiveLength = Field(
         default=default_text("30 mm"), description="Height of an image's white over its black."
     )
-    friction: Annotated[float, Field(ge=0, lt=10)] = Field(
+    friction: Coefficient = Field(
         default=0.8, description="Static coefficient; 0.8 is silicone on a dry table (assumed)."
     )
-    friction_dynamic: Annotated[float, Field(ge=0, lt=10)] | None = Field(
-        default=None, description="Above dynamic_speed (default: the static one)."
+    youngs_modulus: Modulus | None = Field(
+        default=None, description="Of the ground (default: rigid)."
     )
-    static_speed: Speed = default_text("1 mm/s")
-    dynamic_speed: Speed = default_text("1.5 mm/s")
-    exponent: Annotated[float, Field(ge=1, le=4)] = 2.0
+    poisson: Annotated[float, Field(ge=0, le=0.5)] = Field(
+        default=0.3, description="Of the ground."
+    )
     skin: PositiveLength = Field(
         default=default_text("5 mm"), description="Height up to which faces are watched."
     )
-
-    _surface = field_validator("surface", mode="before")(one_or_many)
 
     @model_validator(mode="after")
     def _fits(self) -> ContactGroundSpec:
@@ -221,6 +214,16 @@ class SearchSpec(Table):
     tolerance: str = Field(description="Width at which the search ends.")
     distance: PositiveLength = Field(
         description="Horizontal way of the body's centre after which it counts as gone."
+    )
+    rest_speed: Speed = Field(
+        default=default_text("1 mm/s"),
+        description="A centre slower than this for ten intervals stays, the rest of the duration "
+        "is not waited for.",
+    )
+    ease: Time = Field(
+        default=default_text("0.2 s"),
+        description="Of a key of gravity: time in which a trial's value is eased on, from the "
+        "value at which the body rested last.",
     )
     result: str = Field(default="threshold_deg", description="Name in summary.json.")
 

@@ -12,7 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from flexapod.contact.kernels import shape
+from flexapod.contact.face_kernels import shape
+from flexapod.contact.law_kernels import (
+    AREA,
+    COUNT,
+    DAMPING_POWER,
+    DEPTH,
+    ENERGY,
+    FORCE,
+    FRICTION,
+    FRICTION_LOSS,
+    SLIDING,
+    STICK,
+    friction_coefficient,
+    normal_damping,
+    slide,
+)
 from flexapod.core.jit import inline_kernel, kernel
 
 # params = point (3), unit normal (3)
@@ -21,19 +36,6 @@ PLANE = 0
 STEP = 1
 # params = x0, y0, spacing
 HEIGHT_FIELD = 2
-
-
-@inline_kernel
-def friction_coefficient(
-    speed: float, static: float, dynamic: float, static_speed: float, dynamic_speed: float
-) -> float:
-    """mu [-] at `speed` [m/s]; the kernels' copy of `contact.law.FrictionLaw.coefficient`."""
-    if speed <= static_speed:
-        return static
-    if speed >= dynamic_speed:
-        return dynamic
-    a = (speed - static_speed) / (dynamic_speed - static_speed)
-    return static + (dynamic - static) * a * a * (3.0 - 2.0 * a)
 
 
 @inline_kernel
@@ -223,12 +225,12 @@ def ground_contact(
         Shape (N, 3) [N], added to: contributions to the *external* force on the nodes. `force`
         gets the elastic traction B d**m1; `dissipative` gets t_n less that (it may pull as much,
         never more), and the shear. What contact dissipates is minus the work of `dissipative`,
-        less the growth of ``totals[1]``.
+        less the growth of what sticks.
     pressure, shear
         t_n and t_t [Pa], shape (face_count, 4), overwritten; zero for points apart.
     totals
-        Overwritten, shape (8,): elastic energy of B d**m1 [J], of sticking [J], area in touch
-        [m2], deepest penetration [m], force of the ground on the body (3) [N], points in touch.
+        Overwritten, shape (TOTALS,): see `contact.law_kernels`; forces are the ground's on the
+        body.
     """
     n = np.empty(4)
     p = np.empty(3)
@@ -268,13 +270,16 @@ def ground_contact(
             depth = -gap
             along = velocity[0] * normal[0] + velocity[1] * normal[1] + velocity[2] * normal[2]
             elastic = coefficient * depth**exponent
-            resistance = damping * abs(along) ** damping_exponent * depth**indentation_exponent
-            # d' = -along: damping pushes while the point sinks in.
-            traction = max(0.0, elastic + (resistance if along < 0.0 else -resistance))
-            totals[0] += w * elastic * depth / (exponent + 1.0)
-            totals[2] += w
-            totals[3] = max(totals[3], depth)
-            totals[7] += 1.0
+            # The depth grows with -along: damping pushes while the point sinks in.
+            rest = normal_damping(
+                depth, -along, elastic, damping, damping_exponent, indentation_exponent
+            )
+            traction = elastic + rest
+            totals[ENERGY] += w * elastic * depth / (exponent + 1.0)
+            totals[AREA] += w
+            totals[DEPTH] = max(totals[DEPTH], depth)
+            totals[COUNT] += 1.0
+            totals[DAMPING_POWER] -= w * rest * along
             pressure[f, q] = traction
 
             if not math.isnan(anchor[f, q, 0]):
@@ -291,23 +296,20 @@ def ground_contact(
                 mu = friction_coefficient(
                     math.sqrt(speed_squared), static, dynamic, static_speed, dynamic_speed
                 )
-                limit = mu * traction
-                trial = stick * math.sqrt(slip_squared)
-                back = 1.0
-                if trial > limit:
-                    back = limit / trial
-                    trial = limit
+                back, trial, slid = slide(math.sqrt(slip_squared), stick, mu * traction)
                 shear[f, q] = trial
-                totals[1] += 0.5 * w * trial * trial / stick
+                totals[STICK] += 0.5 * w * trial * trial / stick
+                totals[SLIDING] += w * slid
+                totals[FRICTION_LOSS] += w * trial * slid
             else:
                 back = 0.0
                 slip[:] = 0.0
             for i in range(3):
                 anchor[f, q, i] = p[i] - back * slip[i]
-                traction_force[i] = (
-                    w * (traction - elastic) * normal[i] - w * stick * back * slip[i]
-                )
-                totals[4 + i] += w * elastic * normal[i] + traction_force[i]
+                sideways = -w * stick * back * slip[i]
+                traction_force[i] = w * rest * normal[i] + sideways
+                totals[FORCE + i] += w * elastic * normal[i] + traction_force[i]
+                totals[FRICTION + i] += sideways
             for a in range(4):
                 for i in range(3):
                     force[faces[f, a], i] += n[a] * w * elastic * normal[i]

@@ -14,59 +14,32 @@ from typing import Any
 import numba
 import numpy as np
 
-from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
-
-_G = 1.0 / math.sqrt(3.0)
-# 2x2 Gauss points on the face (-1, 1)^2.
-POINTS = np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]])
-
-
-@inline_kernel
-def shape(xi: float, eta: float, n: Any) -> None:
-    """Bilinear shape functions of a quadrilateral, corners counter-clockwise."""
-    n[0] = 0.25 * (1.0 - xi) * (1.0 - eta)
-    n[1] = 0.25 * (1.0 + xi) * (1.0 - eta)
-    n[2] = 0.25 * (1.0 + xi) * (1.0 + eta)
-    n[3] = 0.25 * (1.0 - xi) * (1.0 + eta)
-
-
-@inline_kernel
-def shape_derivatives(xi: float, eta: float, d: Any) -> None:
-    """Derivatives d[a, 0] by xi and d[a, 1] by eta."""
-    d[0, 0] = -0.25 * (1.0 - eta)
-    d[1, 0] = 0.25 * (1.0 - eta)
-    d[2, 0] = 0.25 * (1.0 + eta)
-    d[3, 0] = -0.25 * (1.0 + eta)
-    d[0, 1] = -0.25 * (1.0 - xi)
-    d[1, 1] = -0.25 * (1.0 + xi)
-    d[2, 1] = 0.25 * (1.0 + xi)
-    d[3, 1] = 0.25 * (1.0 - xi)
-
-
-@inline_kernel
-def _tangents(x: Any, face: Any, d: Any, t: Any) -> None:
-    for i in range(3):
-        t[0, i] = 0.0
-        t[1, i] = 0.0
-        for a in range(4):
-            t[0, i] += d[a, 0] * x[face[a], i]
-            t[1, i] += d[a, 1] * x[face[a], i]
+from flexapod.contact.face_kernels import POINTS as POINTS
+from flexapod.contact.face_kernels import (
+    area_vector,
+    choose_partner,
+    gap_over,
+    point,
+    project,
+    shape,
+    shape_derivatives,
+    tangents,
+    unit_normal,
+)
+from flexapod.core.jit import kernel, parallel_kernel
 
 
 @kernel
 def point_areas(x: Any, faces: Any, points: Any, out: Any) -> None:
     """Fill `out` (face_count, point_count) with the areas the points stand for [m2]."""
     d = np.empty((4, 2))
-    t = np.empty((2, 3))
+    c = np.empty(3)
     for f in range(faces.shape[0]):
         for q in range(points.shape[0]):
             shape_derivatives(points[q, 0], points[q, 1], d)
-            _tangents(x, faces[f], d, t)
-            c0 = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-            c1 = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-            c2 = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
+            area_vector(x, faces[f], d, c)
             # Gauss weights of the 2x2 rule are one.
-            out[f, q] = math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+            out[f, q] = math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
 
 
 @kernel
@@ -104,92 +77,6 @@ def point_positions(x: Any, faces: Any, points: Any, out: Any) -> None:
                 for a in range(4):
                     s += n[a] * x[faces[f, a], i]
                 out[f, q, i] = s
-
-
-@inline_kernel
-def _project(x: Any, face: Any, p: Any, n: Any, d: Any, t: Any, twist: Any) -> tuple[float, float]:
-    """Closest point of the bilinear face to `p`: local coordinates by Newton's method."""
-    for i in range(3):
-        twist[i] = 0.25 * (x[face[0], i] - x[face[1], i] + x[face[2], i] - x[face[3], i])
-    xi = 0.0
-    eta = 0.0
-    for _ in range(12):
-        shape(xi, eta, n)
-        shape_derivatives(xi, eta, d)
-        _tangents(x, face, d, t)
-        g0 = 0.0
-        g1 = 0.0
-        m00 = 0.0
-        m01 = 0.0
-        m11 = 0.0
-        rb = 0.0
-        for i in range(3):
-            r = p[i]
-            for a in range(4):
-                r -= n[a] * x[face[a], i]
-            g0 += r * t[0, i]
-            g1 += r * t[1, i]
-            m00 += t[0, i] * t[0, i]
-            m01 += t[0, i] * t[1, i]
-            m11 += t[1, i] * t[1, i]
-            rb += r * twist[i]
-        m01 -= rb
-        det = m00 * m11 - m01 * m01
-        if not det > 0.0:
-            m01 += rb
-            det = m00 * m11 - m01 * m01
-        dxi = (m11 * g0 - m01 * g1) / det
-        deta = (m00 * g1 - m01 * g0) / det
-        xi += max(-0.5, min(0.5, dxi))
-        eta += max(-0.5, min(0.5, deta))
-        if abs(xi) > 3.0 or abs(eta) > 3.0:
-            break
-        if abs(dxi) + abs(deta) < 1e-13:
-            break
-    return xi, eta
-
-
-@inline_kernel
-def _point(x: Any, face: Any, n: Any, p: Any) -> None:
-    for i in range(3):
-        p[i] = 0.0
-        for a in range(4):
-            p[i] += n[a] * x[face[a], i]
-
-
-@inline_kernel
-def _unit_normal(t: Any, normal: Any) -> float:
-    """Unit normal of a face with tangents `t`; returns the length of their cross product."""
-    normal[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-    normal[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-    normal[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
-    size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    for i in range(3):
-        normal[i] /= size
-    return size
-
-
-@inline_kernel
-def _gap(
-    x: Any, face: Any, p: Any, xi: float, eta: float, n: Any, d: Any, t: Any, normal: Any
-) -> tuple[float, float]:
-    """Distance of `p` from the face along its normal at (xi, eta), and the normal's size."""
-    shape(xi, eta, n)
-    shape_derivatives(xi, eta, d)
-    _tangents(x, face, d, t)
-    size = _unit_normal(t, normal)
-    g = 0.0
-    for i in range(3):
-        r = p[i]
-        for a in range(4):
-            r -= n[a] * x[face[a], i]
-        g += r * normal[i]
-    return g, size
-
-
-@inline_kernel
-def _smooth_step(a: float) -> float:
-    return a * a * (3.0 - 2.0 * a)
 
 
 @parallel_kernel
@@ -285,38 +172,29 @@ def find_partners(
         p = np.empty(3)
         normal = np.empty(3)
         for q in range(points.shape[0]):
-            partner[f, q] = -1
-            gap[f, q] = math.inf
-            fade[f, q] = 0.0
-            nearest = math.inf
             shape(points[q, 0], points[q, 1], n)
-            _point(x, slaves[f], n, p)
-            for c in range(candidates.shape[1]):
-                m = candidates[f, c]
-                if m < 0:
-                    break
-                xi, eta = _project(x, masters[m], p, n, d, t, twist)
-                if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
-                    continue
-                g, size = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
-                if g < -depth:
-                    continue
-                excess_xi = max(0.0, abs(xi) - 1.0)
-                excess_eta = max(0.0, abs(eta) - 1.0)
-                # Prefer a face the point lies squarely on over one whose rim it only grazes.
-                here = abs(g) + (excess_xi + excess_eta) * math.sqrt(size)
-                if not here < nearest:
-                    continue
-                nearest = here
-                partner[f, q] = m
-                gap[f, q] = g
-                local[f, q, 0] = xi
-                local[f, q, 1] = eta
-                fade[f, q] = (
-                    _smooth_step(1.0 - excess_xi / margin)
-                    * _smooth_step(1.0 - excess_eta / margin)
-                    * _smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
-                )
+            point(x, slaves[f], n, p)
+            choose_partner(
+                x,
+                p,
+                f,
+                q,
+                masters,
+                candidates,
+                -depth,
+                math.inf,
+                depth,
+                margin,
+                partner,
+                local,
+                gap,
+                fade,
+                n,
+                d,
+                t,
+                twist,
+                normal,
+            )
 
 
 @parallel_kernel
@@ -339,9 +217,9 @@ def project_on_partners(
             if m < 0:
                 continue
             shape(points[q, 0], points[q, 1], n)
-            _point(x, slaves[f], n, p)
-            xi, eta = _project(x, masters[m], p, n, d, t, twist)
-            gap[f, q], _ = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
+            point(x, slaves[f], n, p)
+            xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
+            gap[f, q], _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
             local[f, q, 0] = xi
             local[f, q, 1] = eta
 
@@ -399,8 +277,8 @@ def pair_contact(
             shape(points[q, 0], points[q, 1], ns)
             shape(xi, eta, nm)
             shape_derivatives(xi, eta, d)
-            _tangents(x, masters[m], d, t)
-            _unit_normal(t, normal)
+            tangents(x, masters[m], d, t)
+            unit_normal(t, normal)
             w = share * areas[f, q]
             depth = -g
             traction = fade[f, q] * coefficient * depth**exponent

@@ -13,15 +13,31 @@ from typing import Any
 import numba
 import numpy as np
 
-from flexapod.contact.kernels import (
-    _gap,
-    _point,
-    _project,
-    _smooth_step,
-    _tangents,
-    _unit_normal,
+from flexapod.contact.face_kernels import (
+    choose_partner,
+    gap_over,
+    point,
+    project,
     shape,
     shape_derivatives,
+    smooth_step,
+    tangents,
+    unit_normal,
+)
+from flexapod.contact.law_kernels import (
+    AREA,
+    COUNT,
+    DAMPING_POWER,
+    DEPTH,
+    ENERGY,
+    FORCE,
+    FRICTION,
+    FRICTION_LOSS,
+    SLIDING,
+    STICK,
+    friction_coefficient,
+    normal_damping,
+    slide,
 )
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 
@@ -55,15 +71,15 @@ def mark_near(
             if near[f] == 1:
                 break
             shape(points[q, 0], points[q, 1], n)
-            _point(x, slaves[f], n, p)
+            point(x, slaves[f], n, p)
             for c in range(candidates.shape[1]):
                 m = candidates[f, c]
                 if m < 0:
                     break
-                xi, eta = _project(x, masters[m], p, n, d, t, twist)
+                xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
                 if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue
-                g, _ = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
+                g, _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
                 if -depth < g < reach:
                     near[f] = 1
                     break
@@ -91,16 +107,16 @@ def _follow(
     m = partner[f, q]
     if m < 0:
         return False
-    xi, eta = _project(x, masters[m], p, n, d, t, twist)
+    xi, eta = project(x, masters[m], p, local[f, q, 0], local[f, q, 1], n, d, t, twist)
     if abs(xi) > 1.0 or abs(eta) > 1.0:
         return False
-    g, _ = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
+    g, _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
     if g < -depth:
         return False
     gap[f, q] = g
     local[f, q, 0] = xi
     local[f, q, 1] = eta
-    fade[f, q] = _smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
+    fade[f, q] = smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
     return True
 
 
@@ -128,7 +144,7 @@ def track_partners(
     The first `near_count` entries of `near` list faces. Points that lie squarely on their partner
     stay there. The others choose among the candidates as `contact.kernels.find_partners` does,
     if they were closer than `close` [m] to touching, or in any case where `anew` is set; else they
-    stay apart until the next time it is.
+    stay apart until the next time it is. A face farther than `close` is no partner.
 
     A contact begins outside and deepens steadily: a point takes a new partner only where it is no
     more than `slack` [m] deeper than it was, or than the surface if it touched nothing. What is
@@ -147,7 +163,7 @@ def track_partners(
             if not anew and not gap[f, q] < close:
                 continue
             shape(points[q, 0], points[q, 1], n)
-            _point(x, slaves[f], n, p)
+            point(x, slaves[f], n, p)
             if _follow(
                 x, masters, p, f, q, depth, partner, local, gap, fade, n, d, t, twist, normal
             ):
@@ -155,36 +171,27 @@ def track_partners(
             deepest = -slack
             if partner[f, q] >= 0 and gap[f, q] < 0.0:
                 deepest = gap[f, q] - slack
-            deepest = max(deepest, -depth)
-            partner[f, q] = -1
-            gap[f, q] = math.inf
-            fade[f, q] = 0.0
-            nearest = math.inf
-            for c in range(candidates.shape[1]):
-                m = candidates[f, c]
-                if m < 0:
-                    break
-                xi, eta = _project(x, masters[m], p, n, d, t, twist)
-                if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
-                    continue
-                g, size = _gap(x, masters[m], p, xi, eta, n, d, t, normal)
-                if g < deepest:
-                    continue
-                excess_xi = max(0.0, abs(xi) - 1.0)
-                excess_eta = max(0.0, abs(eta) - 1.0)
-                here = abs(g) + (excess_xi + excess_eta) * math.sqrt(size)
-                if not here < nearest:
-                    continue
-                nearest = here
-                partner[f, q] = m
-                gap[f, q] = g
-                local[f, q, 0] = xi
-                local[f, q, 1] = eta
-                fade[f, q] = (
-                    _smooth_step(1.0 - excess_xi / margin)
-                    * _smooth_step(1.0 - excess_eta / margin)
-                    * _smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
-                )
+            choose_partner(
+                x,
+                p,
+                f,
+                q,
+                masters,
+                candidates,
+                max(deepest, -depth),
+                close,
+                depth,
+                margin,
+                partner,
+                local,
+                gap,
+                fade,
+                n,
+                d,
+                t,
+                twist,
+                normal,
+            )
 
 
 @kernel
@@ -206,69 +213,132 @@ def pair_forces(
     damping: float,
     damping_exponent: float,
     indentation_exponent: float,
+    static: float,
+    dynamic: float,
+    static_speed: float,
+    dynamic_speed: float,
+    stick: float,
     share: float,
+    anchor_face: Any,
+    anchor_local: Any,
     force: Any,
     dissipative: Any,
     pressure: Any,
+    shear: Any,
     totals: Any,
 ) -> None:
     """Add the forces [N] of touching points on both faces; equal and opposite to the last bit.
 
-    The traction is that of `contact.kernels.pair_contact`, ``B d**m1``, plus the paper's damping
-    ``D sign(d') |d'|**m2 d**m3`` (equation 4), and never below zero: a contact does not pull.
+    The normal traction is that of `contact.kernels.pair_contact`, ``B d**m1``, plus the paper's
+    damping ``D sign(d') |d'|**m2 d**m3`` (equation 4), and never below zero: a contact does not
+    pull. Friction is that of `ground_kernels.ground_contact`, mu of the relative tangential speed
+    (equation 8); what a point sticks to is a point of the partner's material: a face,
+    `anchor_face` (face_count, point_count; -1 while apart), at `anchor_local` (.., 2). Without
+    friction (`static` zero) these stay as they are.
+
     The elastic part goes to `force`, the rest to `dissipative`, both (node_count, 3) external
-    forces. `pressure` (face_count, point_count) receives the traction [Pa] of the near faces.
-    `totals` (8,) gains elastic energy [J], area in touch [m2], the deepest penetration [m] (the
-    larger of both), the force on the slave side [N] (3), the number of points and the power of
-    damping [W], which is not above zero.
+    forces. `pressure` and `shear` (face_count, point_count) receive the tractions [Pa] of the near
+    faces. `totals` (TOTALS,) gains the sums of `contact.law_kernels`; forces are on the slave side.
+    `share` weighs the points, one half where both surfaces take the slave's part in turn.
     """
     ns = np.empty(4)
     nm = np.empty(4)
+    na = np.empty(4)
     d = np.empty((4, 2))
     t = np.empty((2, 3))
     normal = np.empty(3)
+    moving = np.empty(3)
+    slip = np.empty(3)
+    rest_force = np.empty(3)
     for k in range(near_count):
         f = near[k]
         for q in range(points.shape[0]):
             pressure[f, q] = 0.0
+            shear[f, q] = 0.0
             m = partner[f, q]
             if m < 0 or not gap[f, q] < 0.0 or fade[f, q] == 0.0:
+                anchor_face[f, q] = -1
                 continue
+            xi = local[f, q, 0]
+            eta = local[f, q, 1]
             shape(points[q, 0], points[q, 1], ns)
-            shape(local[f, q, 0], local[f, q, 1], nm)
-            shape_derivatives(local[f, q, 0], local[f, q, 1], d)
-            _tangents(x, masters[m], d, t)
-            _unit_normal(t, normal)
+            shape(xi, eta, nm)
+            shape_derivatives(xi, eta, d)
+            tangents(x, masters[m], d, t)
+            unit_normal(t, normal)
             depth = -gap[f, q]
             elastic = fade[f, q] * coefficient * depth**exponent
             rate = 0.0
-            for a in range(4):
-                for i in range(3):
-                    rate -= (ns[a] * v[slaves[f, a], i] - nm[a] * v[masters[m, a], i]) * normal[i]
-            rest = (
-                fade[f, q]
-                * damping
-                * math.copysign(abs(rate) ** damping_exponent, rate)
-                * depth**indentation_exponent
+            for i in range(3):
+                moving[i] = 0.0
+                for a in range(4):
+                    moving[i] += ns[a] * v[slaves[f, a], i] - nm[a] * v[masters[m, a], i]
+                rate -= moving[i] * normal[i]
+            rest = normal_damping(
+                depth, rate, elastic, fade[f, q] * damping, damping_exponent, indentation_exponent
             )
-            if elastic + rest < 0.0:
-                rest = -elastic
             w = share * areas[f, q]
             pressure[f, q] = elastic + rest
-            totals[0] += w * elastic * depth / (exponent + 1.0)
-            totals[1] += w
-            totals[2] = max(totals[2], depth)
-            totals[6] += 1.0
-            totals[7] -= w * rest * rate
+            totals[ENERGY] += w * elastic * depth / (exponent + 1.0)
+            totals[AREA] += w
+            totals[DEPTH] = max(totals[DEPTH], depth)
+            totals[COUNT] += 1.0
+            totals[DAMPING_POWER] += w * rest * rate
             for i in range(3):
-                e = w * elastic * normal[i]
-                r = w * rest * normal[i]
-                totals[3 + i] += e + r
+                slip[i] = 0.0
+            if static > 0.0:
+                held = anchor_face[f, q]
+                back = 0.0
+                if held >= 0:
+                    shape(anchor_local[f, q, 0], anchor_local[f, q, 1], na)
+                    off = 0.0
+                    for i in range(3):
+                        for a in range(4):
+                            slip[i] += ns[a] * x[slaves[f, a], i] - na[a] * x[masters[held, a], i]
+                        off += slip[i] * normal[i]
+                    slip_squared = 0.0
+                    speed_squared = 0.0
+                    for i in range(3):
+                        slip[i] -= off * normal[i]
+                        slip_squared += slip[i] * slip[i]
+                        speed_squared += (moving[i] + rate * normal[i]) ** 2
+                    mu = friction_coefficient(
+                        math.sqrt(speed_squared), static, dynamic, static_speed, dynamic_speed
+                    )
+                    back, trial, slid = slide(math.sqrt(slip_squared), stick, mu * (elastic + rest))
+                    shear[f, q] = trial
+                    totals[STICK] += 0.5 * w * trial * trial / stick
+                    totals[SLIDING] += w * slid
+                    totals[FRICTION_LOSS] += w * trial * slid
+                if back < 1.0:
+                    # The anchor follows: it lies the slip that is kept behind the point.
+                    g00 = 0.0
+                    g01 = 0.0
+                    g11 = 0.0
+                    s0 = 0.0
+                    s1 = 0.0
+                    for i in range(3):
+                        slip[i] *= back
+                        g00 += t[0, i] * t[0, i]
+                        g01 += t[0, i] * t[1, i]
+                        g11 += t[1, i] * t[1, i]
+                        s0 += t[0, i] * slip[i]
+                        s1 += t[1, i] * slip[i]
+                    det = g00 * g11 - g01 * g01
+                    anchor_face[f, q] = m
+                    anchor_local[f, q, 0] = xi - (g11 * s0 - g01 * s1) / det
+                    anchor_local[f, q, 1] = eta - (g00 * s1 - g01 * s0) / det
+            for i in range(3):
+                sideways = -w * stick * slip[i]
+                push = w * elastic * normal[i]
+                rest_force[i] = w * rest * normal[i] + sideways
+                totals[FORCE + i] += push + rest_force[i]
+                totals[FRICTION + i] += sideways
                 for a in range(4):
-                    force[slaves[f, a], i] += ns[a] * e
-                    force[masters[m, a], i] -= nm[a] * e
-                    dissipative[slaves[f, a], i] += ns[a] * r
-                    dissipative[masters[m, a], i] -= nm[a] * r
+                    force[slaves[f, a], i] += ns[a] * push
+                    force[masters[m, a], i] -= nm[a] * push
+                    dissipative[slaves[f, a], i] += ns[a] * rest_force[i]
+                    dissipative[masters[m, a], i] -= nm[a] * rest_force[i]
 
 
 @kernel
@@ -282,24 +352,68 @@ def contact_rates(
     margin: float,
     coefficient: float,
     exponent: float,
+    damping: float,
+    indentation_exponent: float,
+    stick: float,
     factor: float,
     inverse_mass: Any,
-    out: Any,
+    springs: Any,
+    dashpots: Any,
 ) -> None:
-    """Add to `out` (node_count,) what contact may add to the square of the highest frequency.
+    """Add what contact may add to the highest frequency: to its square and to its decay.
 
     Gershgorin's bound row by row: a point of stiffness k adds ``factor k N_a / m_a`` to its
-    node a, where `factor` counts the faces it ties together (1 or 2). The stiffness is taken
-    `margin` [m] deeper than the point is, and so deep too where it does not touch yet, since it
-    may before the next estimate.
+    node a of `springs` (node_count,) [1/s2], and a dashpot likewise to `dashpots` [1/s]; `factor`
+    counts the faces it ties together (1 or 2). Both are taken `margin` [m] deeper than the point
+    is, and so deep too where it does not touch yet, since it may before the next estimate; the
+    dashpot at 1 m/s where it is not linear. Sticking acts across the normal, so that only the
+    larger of `stick` [Pa/m] and the normal stiffness counts.
     """
     n = np.empty(4)
     for k in range(near_count):
         f = near[k]
         for q in range(points.shape[0]):
             depth = margin - min(gap[f, q], 0.0)
-            stiffness = areas[f, q] * coefficient * exponent * depth ** (exponent - 1.0)
+            spring = max(stick, coefficient * exponent * depth ** (exponent - 1.0))
+            dashpot = damping * depth**indentation_exponent
             shape(points[q, 0], points[q, 1], n)
             for a in range(4):
                 node = faces[f, a]
-                out[node] += factor * stiffness * n[a] * inverse_mass[node]
+                part = factor * areas[f, q] * n[a] * inverse_mass[node]
+                springs[node] += spring * part
+                dashpots[node] += dashpot * part
+
+
+@kernel
+def relative_motion(before: Any, now: Any, nodes: Any, turn: Any, shift: Any) -> float:
+    """Largest way of a node [m] beyond the rigid motion ``turn @ before + shift``.
+
+    `before` (count, 3) are positions of `nodes` then, `now` (node_count, 3) those of all.
+    """
+    largest = 0.0
+    for k in range(nodes.shape[0]):
+        square = 0.0
+        for i in range(3):
+            r = now[nodes[k], i] - shift[i]
+            for j in range(3):
+                r -= turn[i, j] * before[k, j]
+            square += r * r
+        largest = max(largest, square)
+    return math.sqrt(largest)
+
+
+@kernel
+def rigid_fit_sums(before: Any, now: Any, nodes: Any, out: Any) -> None:
+    """Fill `out` (5, 3): means of `before` and now, and the covariance of both (3, 3)."""
+    out[:] = 0.0
+    for k in range(nodes.shape[0]):
+        for i in range(3):
+            out[0, i] += before[k, i]
+            out[1, i] += now[nodes[k], i]
+    for i in range(3):
+        out[0, i] /= nodes.shape[0]
+        out[1, i] /= nodes.shape[0]
+    for k in range(nodes.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                out[2 + i, j] += (now[nodes[k], i] - out[1, i]) * (before[k, j] - out[0, j])

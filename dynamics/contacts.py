@@ -10,24 +10,39 @@ from typing import Protocol
 
 import numpy as np
 
-from flexapod.contact import ground_kernels, kernels, track_kernels
+from flexapod.contact import ground_kernels, kernels, law_kernels, track_kernels
 from flexapod.contact.ground import Ground
-from flexapod.contact.law import ContactLaw
+from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.core.errors import SolverError, Status
 from flexapod.dynamics import kernels as dynamics_kernels
-from flexapod.fem.contacts import SurfacePass
+from flexapod.fem.contacts import surface_passes
 
 History = dict[str, np.ndarray]
 
-# Entries of a contact's totals.
-ENERGY, STICK, AREA, DEPTH, FORCE, COUNT = 0, 1, 2, 3, slice(4, 7), 7
+# Entries of a contact's totals, see `contact.law_kernels`.
+ENERGY, STICK, AREA, DEPTH = (
+    law_kernels.ENERGY,
+    law_kernels.STICK,
+    law_kernels.AREA,
+    law_kernels.DEPTH,
+)
+FORCE = slice(law_kernels.FORCE, law_kernels.FORCE + 3)
+FRICTION = slice(law_kernels.FRICTION, law_kernels.FRICTION + 3)
+COUNT, TOTALS = law_kernels.COUNT, law_kernels.TOTALS
+
+# Entries of a history's "spent": way slid on average over the area in touch [m], what friction
+# and what damping took [J].
+SLID, BY_FRICTION, BY_DAMPING = 0, 1, 2
 
 
 class DynamicContact(Protocol):
-    """What the engine asks of a contact; its histories hold "depth", the deepest point's [m]."""
+    """What the engine asks of a contact.
+
+    Its histories hold "depth" (1,), the deepest point's [m], and "spent" (3,), see `account`.
+    """
 
     name: str
-    totals: np.ndarray  # (8,), see the indices above; of the last `add_forces`
+    totals: np.ndarray  # (TOTALS,), see the indices above; of the last `add_forces`
 
     def start(self, x: np.ndarray) -> History:
         """History of a contact that begins at positions `x` [m]."""
@@ -48,17 +63,40 @@ class DynamicContact(Protocol):
         """Add external forces [N] of shape (node_count, 3); fills `totals`."""
         ...
 
-    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
-        """Add to `out` (node_count,) what may come to the squared highest frequency [1/s2]."""
+    def add_rates(
+        self,
+        history: History,
+        inverse_mass: np.ndarray,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+    ) -> None:
+        """Add per node what may come to the squared highest frequency [1/s2], and damping [1/s]."""
         ...
 
     def pressing(self) -> float:
         """Normal traction of the last `add_forces`, summed over the area in touch [N]."""
         ...
 
+    def rubbing(self) -> float:
+        """Shear traction of the last `add_forces`, summed over the area in touch [N]."""
+        ...
+
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """Normal traction of the last `add_forces`, averaged to nodes [Pa]."""
         ...
+
+
+def account(contact: DynamicContact, history: History, dt: float) -> None:
+    """Add what the last forces slid and dissipated in a step of `dt` [s] to ``history["spent"]``.
+
+    Sliding is counted by the return mapping itself, so it is exact; the damping's power is taken
+    constant over the step. The energy ledger has its own count, by the work of the forces.
+    """
+    totals, spent = contact.totals, history["spent"]
+    if totals[AREA] > 0.0:
+        spent[SLID] += totals[law_kernels.SLIDING] / totals[AREA]
+    spent[BY_FRICTION] += totals[law_kernels.FRICTION_LOSS]
+    spent[BY_DAMPING] += dt * totals[law_kernels.DAMPING_POWER]
 
 
 class GroundContact:
@@ -104,7 +142,7 @@ class GroundContact:
         kernels.point_areas(nodes, self.faces, kernels.POINTS, self.areas)
         self.pressure = np.zeros(count)
         self.shear = np.zeros(count)
-        self.totals = np.zeros(8)
+        self.totals = np.zeros(TOTALS)
 
     def start(self, x: np.ndarray) -> History:
         """See `DynamicContact`."""
@@ -115,6 +153,7 @@ class GroundContact:
             "count": np.zeros(1, dtype=np.int64),
             "way": np.zeros(1),
             "depth": np.zeros(1),
+            "spent": np.zeros(3),
             "pressure": np.zeros((count, kernels.POINTS.shape[0])),
         }
         self._search(x, history)
@@ -179,16 +218,23 @@ class GroundContact:
         self.pressure = history["pressure"]
         history["depth"][0] = self.totals[DEPTH]
         if self.totals[DEPTH] > self.deepest:
-            at = np.unravel_index(int(self.pressure.argmax()), self.pressure.shape)[0]
+            depths = gaps(self.ground, x[self.faces.ravel()])
+            at = int(depths.argmin()) // 4
             place = x[self.faces[at]].mean(axis=0)
             raise SolverError(
                 Status.FELL_THROUGH,
                 f"{self.name}: the face of nodes {self.faces[at].tolist()} at ({place[0]:.4g}, "
-                f"{place[1]:.4g}, {place[2]:.4g}) m presses most, and the deepest point is "
-                f"{self.totals[DEPTH] * 1e3:.3g} mm deep in the ground",
+                f"{place[1]:.4g}, {place[2]:.4g}) m is {-1e3 * depths.min():.3g} mm deep in the "
+                "ground",
             )
 
-    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
+    def add_rates(
+        self,
+        history: History,
+        inverse_mass: np.ndarray,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+    ) -> None:
         """See `DynamicContact`."""
         law = self.law
         pressure = history["pressure"]
@@ -205,14 +251,22 @@ class GroundContact:
             RATE_MARGIN,
             law.traction_coefficient,
             law.stiffness_exponent,
+            law.damping_coefficient,
+            law.indentation_exponent,
+            law.stick_stiffness if self.ground.friction.static > 0.0 else 0.0,
             1.0,
             inverse_mass,
-            out,
+            springs,
+            dashpots,
         )
 
     def pressing(self) -> float:
         """See `DynamicContact`."""
         return float((self.pressure * self.areas).sum())
+
+    def rubbing(self) -> float:
+        """See `DynamicContact`."""
+        return float((self.shear * self.areas).sum())
 
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """See `DynamicContact`."""
@@ -228,15 +282,22 @@ def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
     return out
 
 
-# Deeper than now by this much [m] is the contact the stable step allows for.
-RATE_MARGIN = 2e-4
+# Deeper than now by this much [m] is the contact the stable step allows for. The paper's damping
+# grows with the square of the depth: at 0.3 mm its dashpot alone asks for steps of 4 us, so more
+# than the body is likely to sink in within an interval is not allowed for but looked at again.
+RATE_MARGIN = 5e-5
+# Motion of the surfaces relative to each other, as a share of the skin, after which faces are
+# searched anew, and near faces looked at. Two faces may each move so far: twice the first and
+# twice the second is what is left of the skin.
+SEARCH_SHARE = 0.4
+LOOK_SHARE = 0.05
 
 
 class SurfaceContact:
     """Faces against faces: of one body with itself, of two bodies, or of a body and rigid parts.
 
     Three searches, each cheaper and more frequent than the one before: candidates by a tree once
-    the surfaces have moved by a third of `skin` relative to each other, partners of near points
+    the surfaces have moved by 0.4 of `skin` relative to each other, partners of near points
     without one after a twentieth of it, and in every step the points that touch or nearly do. Rigid
     motion of the whole does not count: a rolling wheel is searched no more often than one at rest.
 
@@ -249,7 +310,11 @@ class SurfaceContact:
     surface, partner
         Corner quadruples, outward; the same array twice for self-contact.
     law
-        Normal contact law. There is no friction between faces (the paper sets it to zero).
+        Normal contact law, and `stick_stiffness` of what sticks.
+    friction
+        Of the faces on each other; None for none (the paper sets it to zero between chambers).
+        Friction acts at the point and at its projection, which lie the penetration apart: it keeps
+        momentum, and angular momentum but for that arm.
     depth, margin, joint_gap
         See `flexapod.fem.contacts.FaceContact`.
     skin
@@ -270,22 +335,20 @@ class SurfaceContact:
         joint_gap: float = 5e-4,
         skin: float = 2e-3,
         check_every: int = 10,
+        friction: FrictionLaw | None = None,
     ) -> None:
         self.name = name
         self.law = law
+        self.friction = friction or FrictionLaw.constant(0.0)
         self.depth = depth
         self.margin = margin
         self.skin = skin
         self.check_every = check_every
-        surface = np.ascontiguousarray(surface, dtype=np.int64)
-        partner = np.ascontiguousarray(partner, dtype=np.int64)
-        same = surface.shape == partner.shape and bool((surface == partner).all())
-        self.passes = [SurfacePass(nodes, surface, partner, joint_gap if same else None)]
-        if not same:
-            self.passes.append(SurfacePass(nodes, partner, surface, None))
-        self.watched = np.unique(np.concatenate([surface.ravel(), partner.ravel()]))
-        self.totals = np.zeros(8)
-        self._partial = np.zeros(8)
+        self.passes = surface_passes(nodes, surface, partner, joint_gap)
+        self.shear = [np.zeros_like(p.pressure) for p in self.passes]
+        self.watched = np.unique(np.concatenate([p.slaves.ravel() for p in self.passes]))
+        self.totals = np.zeros(TOTALS)
+        self._partial = np.zeros(TOTALS)
 
     def start(self, x: np.ndarray) -> History:
         """See `DynamicContact`."""
@@ -295,6 +358,7 @@ class SurfaceContact:
             "age": np.zeros(1, dtype=np.int64),
             "way": np.zeros(1),
             "depth": np.zeros(1),
+            "spent": np.zeros(3),
         }
         for k, p in enumerate(self.passes):
             count = p.slaves.shape[0]
@@ -303,6 +367,8 @@ class SurfaceContact:
             history[f"count{k}"] = np.zeros(1, dtype=np.int64)
             for key in ("partner", "local", "gap", "fade"):
                 history[f"{key}{k}"] = np.array(getattr(p, key))
+            history[f"anchor_face{k}"] = np.full(p.gap.shape, -1, dtype=np.int32)
+            history[f"anchor_local{k}"] = np.zeros_like(p.local)
         self._search(x, history, first=True)
         return history
 
@@ -337,7 +403,9 @@ class SurfaceContact:
             history[f"partner{k}"][far] = -1
             history[f"gap{k}"][far] = np.inf
             history[f"fade{k}"][far] = 0.0
+            history[f"anchor_face{k}"][far] = -1
             p.pressure[far] = 0.0
+            self.shear[k][far] = 0.0
         history["x"][:] = x[self.watched]
         history["x_near"][:] = history["x"]
 
@@ -346,15 +414,14 @@ class SurfaceContact:
         history["age"][0] += 1
         history["way"][0] += travel
         anew = False
-        fast = history["way"][0] > self.skin / 20.0
+        fast = history["way"][0] > LOOK_SHARE * self.skin
         if fast or history["age"][0] % self.check_every == 0:
             history["way"][0] = 0.0
-            now = x[self.watched]
-            if _relative_motion(history["x"], now) > self.skin / 3.0:
+            if _relative_motion(history["x"], x, self.watched) > SEARCH_SHARE * self.skin:
                 self._search(x, history)
                 anew = True
-            elif _relative_motion(history["x_near"], now) > self.skin / 20.0:
-                history["x_near"][:] = now
+            elif _relative_motion(history["x_near"], x, self.watched) > LOOK_SHARE * self.skin:
+                np.take(x, self.watched, axis=0, out=history["x_near"])
                 anew = True
         for k, p in enumerate(self.passes):
             track_kernels.track_partners(
@@ -368,7 +435,7 @@ class SurfaceContact:
                 self.depth,
                 self.margin,
                 anew,
-                0.1 * self.skin,
+                2.0 * LOOK_SHARE * self.skin,
                 0.075 * self.skin,
                 history[f"partner{k}"],
                 history[f"local{k}"],
@@ -385,7 +452,7 @@ class SurfaceContact:
         dissipative: np.ndarray,
     ) -> None:
         """See `DynamicContact`; `totals` holds the force on the first surface."""
-        law = self.law
+        law, friction = self.law, self.friction
         self.totals[:] = 0.0
         for k, p in enumerate(self.passes):
             self._partial[:] = 0.0
@@ -407,20 +474,35 @@ class SurfaceContact:
                 law.damping_coefficient,
                 law.damping_exponent,
                 law.indentation_exponent,
+                friction.static,
+                friction.dynamic,
+                friction.static_speed,
+                friction.dynamic_speed,
+                law.stick_stiffness,
                 0.5,
+                history[f"anchor_face{k}"],
+                history[f"anchor_local{k}"],
                 elastic,
                 dissipative,
                 p.pressure,
+                self.shear[k],
                 self._partial,
             )
-            self.totals[ENERGY] += self._partial[0]
-            self.totals[AREA] += self._partial[1]
-            self.totals[DEPTH] = max(self.totals[DEPTH], self._partial[2])
-            self.totals[FORCE] += self._partial[3:6] if k == 0 else -self._partial[3:6]
-            self.totals[COUNT] += self._partial[6]
+            deepest = max(self.totals[DEPTH], self._partial[DEPTH])
+            if k == 1:  # on the second surface
+                self._partial[FORCE] *= -1.0
+                self._partial[FRICTION] *= -1.0
+            self.totals += self._partial
+            self.totals[DEPTH] = deepest
         history["depth"][0] = self.totals[DEPTH]
 
-    def add_rates(self, history: History, inverse_mass: np.ndarray, out: np.ndarray) -> None:
+    def add_rates(
+        self,
+        history: History,
+        inverse_mass: np.ndarray,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+    ) -> None:
         """See `DynamicContact`."""
         law = self.law
         for k, p in enumerate(self.passes):
@@ -434,14 +516,23 @@ class SurfaceContact:
                 RATE_MARGIN,
                 law.traction_coefficient,
                 law.stiffness_exponent,
+                law.damping_coefficient,
+                law.indentation_exponent,
+                law.stick_stiffness if self.friction.static > 0.0 else 0.0,
                 2.0,
                 inverse_mass,
-                out,
+                springs,
+                dashpots,
             )
 
     def pressing(self) -> float:
         """See `DynamicContact`; both surfaces feel it, it is counted once."""
         return 0.5 * sum(float((p.pressure * p.areas).sum()) for p in self.passes)
+
+    def rubbing(self) -> float:
+        """See `DynamicContact`; both surfaces feel it, it is counted once."""
+        pairs = zip(self.passes, self.shear, strict=True)
+        return 0.5 * sum(float((shear * p.areas).sum()) for p, shear in pairs)
 
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """See `DynamicContact`."""
@@ -451,13 +542,12 @@ class SurfaceContact:
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
 
 
-def _relative_motion(before: np.ndarray, now: np.ndarray) -> float:
-    """Largest way of a point [m] beyond the rigid motion that fits all of them best."""
-    centre_before, centre_now = before.mean(axis=0), now.mean(axis=0)
-    a, b = before - centre_before, now - centre_now
-    left, _, right = np.linalg.svd(a.T @ b)
-    turn = left @ right
-    if np.linalg.det(turn) < 0.0:
+def _relative_motion(before: np.ndarray, x: np.ndarray, nodes: np.ndarray) -> float:
+    """Largest way of a node [m] beyond the rigid motion that fits all of them best."""
+    sums = np.empty((5, 3))
+    track_kernels.rigid_fit_sums(before, x, nodes, sums)
+    left, _, right = np.linalg.svd(sums[2:])
+    if np.linalg.det(left @ right) < 0.0:
         left[:, -1] *= -1.0
-        turn = left @ right
-    return float(np.sqrt(((b - a @ turn) ** 2).sum(axis=1).max(initial=0.0)))
+    turn = left @ right
+    return track_kernels.relative_motion(before, x, nodes, turn, sums[1] - turn @ sums[0])

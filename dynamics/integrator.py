@@ -15,7 +15,7 @@ import numpy as np
 
 from flexapod.core.errors import InputError, SolverError, Status, check_positive
 from flexapod.dynamics import kernels, rigid_kernels
-from flexapod.dynamics.contacts import DEPTH, ENERGY, RATE_MARGIN, STICK
+from flexapod.dynamics.contacts import DEPTH, ENERGY, RATE_MARGIN, STICK, account
 from flexapod.dynamics.model import Model, State
 from flexapod.fem import kernels as fem_kernels
 
@@ -84,7 +84,9 @@ class Workspace:
         self.strain_energy = 0.0
         self.kinetic = 0.0
         self.rates = np.zeros(model.soft_cells.size)
-        self.extra = np.zeros(shape[0])
+        self.elements = np.zeros(model.soft_cells.size)
+        self.springs = np.zeros(shape[0])
+        self.dashpots = np.zeros(shape[0])
         # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
         self.inverse_mass = 1.0 / model.mass
         self.tangents = np.empty((0, fem_kernels.PAIR_COUNT, 3, 3))
@@ -118,58 +120,34 @@ class Options:
             check_positive("time_step", self.time_step, "s")
 
 
-def highest_frequency(model: Model, state: State, work: Workspace) -> float:
+def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = True) -> float:
     """Upper bound of the highest angular frequency at the current state [rad/s].
 
-    Per element from its current tangent, and from the contact its nodes are in.
+    Per element from its current tangent, and from the springs and dashpots of contacts and bonds
+    its nodes are in. A step of central differences whose damping forces are half a step old is
+    stable where ``dt**2 k / 4 + dt c / 2 <= 1`` (k of the squared frequencies, c of the decay
+    rates): the frequency returned is the one of an undamped system with the same largest step.
+
+    Without `anew` the elements' part is that of the last time; only contacts and bonds are looked
+    at, which is cheap.
     """
-    work.extra[:] = 0.0
+    work.springs[:] = 0.0
+    work.dashpots[:] = 0.0
     for contact, history in zip(model.contacts, state.histories, strict=True):
-        contact.add_rates(history, work.inverse_mass, work.extra)
+        contact.add_rates(history, work.inverse_mass, work.springs, work.dashpots)
     for bond, whole in zip(model.bonds, state.whole, strict=True):
         if whole:
             for side in range(2):
                 nodes = bond.pairs[:, side]
-                np.add.at(work.extra, nodes, 2.0 * bond.stiffness * work.inverse_mass[nodes])
-    square = float(work.extra.max(initial=0.0))
-    body = model.body
-    if model.internal is not None and body is not None:
-        if not work.tangents.size:
-            work.tangents = np.empty((model.soft_cells.size, fem_kernels.PAIR_COUNT, 3, 3))
-        u = state.u[: model.mesh_node_count]
-        fem_kernels.predict_pressure(
-            u,
-            np.zeros_like(u),
-            model.cells,
-            model.gradients,
-            model.weights,
-            model.cell_material,
-            body.kappa,
-            work.cell_pressure,
-        )
-        fem_kernels.element_tangents(
-            u,
-            model.cells,
-            model.gradients,
-            model.weights,
-            model.cell_material,
-            body.mu,
-            body.alpha,
-            body.c,
-            body.kappa_point,
-            body.kappa,
-            work.cell_pressure,
-            work.tangents,
-        )
-        kernels.element_rates(
-            work.tangents,
-            fem_kernels.PAIR_OF,
-            model.cells,
-            model.element_mass,
-            work.extra,
-            work.rates,
-        )
-        # Branches that have no time to relax stiffen the deviatoric part; the bound takes all.
+                part = 2.0 * bond.stiffness * work.inverse_mass[nodes]
+                np.add.at(work.springs, nodes, part)
+                np.add.at(work.dashpots, nodes, bond.damping * part)
+    half = 0.5 * work.dashpots
+    square = float(((half + np.sqrt(half * half + work.springs)) ** 2).max(initial=0.0))
+    if model.internal is not None:
+        if anew:
+            _estimate_elements(model, state, work)
+        kernels.combined_rates(work.elements, model.cells, work.springs, work.dashpots, work.rates)
         worst = int(np.argmax(work.rates))  # the first NaN, if there is one
         if not math.isfinite(work.rates[worst]):
             place = state.x[model.cells[worst]].mean(axis=0)
@@ -178,9 +156,51 @@ def highest_frequency(model: Model, state: State, work: Workspace) -> float:
                 f"at {state.time:.6g} s element {int(model.soft_cells[worst])} at "
                 f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m has no finite stiffness",
             )
-        stiffening = 1.0 if model.viscous is None else float(model.viscous.stiffening.max())
-        square = max(square, stiffening * float(work.rates.max()))
+        square = max(square, float(work.rates[worst]))
     return math.sqrt(square)
+
+
+def _estimate_elements(model: Model, state: State, work: Workspace) -> None:
+    """Bounds of the elements alone, into `work.elements`."""
+    body = model.body
+    assert body is not None
+    if not work.tangents.size:
+        work.tangents = np.empty((model.soft_cells.size, fem_kernels.PAIR_COUNT, 3, 3))
+    u = state.u[: model.mesh_node_count]
+    fem_kernels.predict_pressure(
+        u,
+        np.zeros_like(u),
+        model.cells,
+        model.gradients,
+        model.weights,
+        model.cell_material,
+        body.kappa,
+        work.cell_pressure,
+    )
+    fem_kernels.element_tangents(
+        u,
+        model.cells,
+        model.gradients,
+        model.weights,
+        model.cell_material,
+        body.mu,
+        body.alpha,
+        body.c,
+        body.kappa_point,
+        body.kappa,
+        work.cell_pressure,
+        work.tangents,
+    )
+    # Branches that have no time to relax stiffen the deviatoric part; the bound takes all.
+    stiffening = 1.0 if model.viscous is None else float(model.viscous.stiffening.max())
+    kernels.element_rates(
+        work.tangents,
+        fem_kernels.PAIR_OF,
+        model.cells,
+        model.element_mass,
+        stiffening,
+        work.elements,
+    )
 
 
 def stable_step(omega: float, model: Model) -> float:
@@ -194,7 +214,7 @@ def stable_step(omega: float, model: Model) -> float:
 def scale_mass(model: Model, state: State, work: Workspace, target: float) -> float:
     """Selective mass scaling: make heavier the elements whose own step is below `target` [s].
 
-    Returns the mass added [kg], which `model.scaled_mass` keeps.
+    Returns the mass added [kg], which `model.scaled_mass` keeps: it is inert and weighs nothing.
     """
     if model.internal is None:
         return 0.0
@@ -205,7 +225,7 @@ def scale_mass(model: Model, state: State, work: Workspace, target: float) -> fl
     # Nodes of rigid bodies are as heavy as these.
     added[model.owner[model.cells] >= 0] = 0.0
     total = np.bincount(model.cells.ravel(), weights=added.ravel(), minlength=model.node_count)
-    model.mass += total
+    model.mass = model.mass + total
     model.scaled_mass += float(total.sum())
     # Each element keeps what it was given: shared out by volume it would go to its neighbours.
     model.element_mass += added
@@ -294,6 +314,7 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
         model.damping.mass,
         model.gravity,
         model.mass,
+        model.own_mass,
         model.owner,
         model.fixed,
         work.internal,
@@ -350,14 +371,24 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
             work.sums,
         )
     if not math.isfinite(work.kinetic):
-        bad = np.flatnonzero(~np.isfinite(state.v).all(axis=1))
-        place = state.x[bad[0]] if bad.size else np.full(3, np.nan)
-        raise SolverError(
-            Status.NOT_FINITE,
-            f"at {state.time:.6g} s the velocity of node {int(bad[0]) if bad.size else -1} at "
-            f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m became NaN or infinite; the step "
-            f"was {state.dt_before:.3g} s",
-        )
+        raise SolverError(Status.NOT_FINITE, _name_not_finite(model, state))
+
+
+def _name_not_finite(model: Model, state: State) -> str:
+    bad = np.flatnonzero(~np.isfinite(state.v).all(axis=1))
+    node = int(bad[0]) if bad.size else -1
+    where = ""
+    if node >= 0:
+        x = state.x[node]
+        where = f" of node {node} at ({x[0]:.4g}, {x[1]:.4g}, {x[2]:.4g}) m"
+        if model.soft_cells.size:
+            around = np.flatnonzero((model.cells == node).any(axis=1))
+            if around.size:
+                where += f", a corner of element {int(model.soft_cells[around[0]])},"
+    return (
+        f"at {state.time:.6g} s the velocity{where} became NaN or infinite; the step was "
+        f"{state.dt_before:.3g} s"
+    )
 
 
 def place_owned(model: Model, state: State) -> None:
@@ -402,6 +433,7 @@ def drift(model: Model, state: State, work: Workspace, dt: float) -> None:
 def last_record(model: Model, state: State, work: Workspace, record: Callable[[], None]) -> None:
     """Call `record` with forces and energies at the state's own time; the state stays as it is."""
     held = [{key: value.copy() for key, value in h.items()} for h in state.histories]
+    viscous = None if model.viscous is None else model.viscous.history()
     kept = {n: getattr(state, n).copy() for n in ("v", "rigid_v", "rigid_l", "works", "whole")}
     evaluate(model, state, work)
     kick(model, state, work, 0.5 * state.dt_before)
@@ -414,6 +446,8 @@ def last_record(model: Model, state: State, work: Workspace, record: Callable[[]
         setattr(state, name, value)
     place_owned(model, state)
     state.histories = held
+    if model.viscous is not None and viscous is not None:
+        model.viscous.restore(viscous)
 
 
 def kinetic_energy(model: Model, state: State) -> float:
@@ -452,6 +486,8 @@ def step(
         state.energy_start = energies(model, state, work).stored
         state.works[WORKS] = 0.0
         half = work.sums[WORKS].copy()
+    for contact, history in zip(model.contacts, state.histories, strict=True):
+        account(contact, history, dt)
     if record is not None:
         record()
     state.works[WORKS] += half
@@ -468,7 +504,7 @@ def energies(model: Model, state: State, work: Workspace) -> Energies:
         strain = model.internal(state.u[:count], work.shifted[:count])
         # Work on the nodes is minus the strain stored and the loss.
         internal_loss = -state.works[INTERNAL] - (strain - _start_strain(state, strain))
-    weight = kernels.potential_of_weight(model.mass, model.owner, model.gravity, state.x)
+    weight = kernels.potential_of_weight(model.own_mass, model.owner, model.gravity, state.x)
     weight -= float((model.rigid.mass[:, None] * state.rigid_x * model.gravity).sum())
     # What sticking points hold elastically comes back: it is stored, not lost.
     stuck = sum(float(c.totals[STICK]) for c in model.contacts)
@@ -543,7 +579,8 @@ def march(
         while left > 0.0:
             # Almost always once: again where contact went deeper than the step was chosen for.
             state.time = begin
-            count, allowed = _choose_step(model, state, work, options, left)
+            whole = left == options.interval
+            count, allowed = _choose_step(model, state, work, options, left, whole)
             dt = left / count
             stats.estimates += 1
             stats.smallest_step = min(stats.smallest_step, dt)
@@ -572,10 +609,13 @@ def _bound(record: Callable[[State], None] | None, state: State) -> Callable[[],
 
 
 def _choose_step(
-    model: Model, state: State, work: Workspace, options: Options, left: float
+    model: Model, state: State, work: Workspace, options: Options, left: float, whole: bool
 ) -> tuple[int, list[float]]:
-    """Number of equal steps for the time `left` [s], and how deep each contact may go with them."""
-    state.omega = highest_frequency(model, state, work)
+    """Number of equal steps for the time `left` [s], and how deep each contact may go with them.
+
+    Elements are looked at where it is a `whole` interval.
+    """
+    state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
     allowed = [float(history["depth"][0]) + RATE_MARGIN for history in state.histories]
     if options.time_step is None:

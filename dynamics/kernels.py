@@ -8,8 +8,8 @@ from typing import Any
 import numba
 import numpy as np
 
+from flexapod.contact.face_kernels import POINTS, area_vector, shape, shape_derivatives
 from flexapod.contact.ground_kernels import gap_and_normal
-from flexapod.contact.kernels import POINTS, shape, shape_derivatives
 from flexapod.core.jit import kernel, parallel_kernel
 
 # Sums over nodes run in this many fixed parts, added in order: the same bits for any number of
@@ -27,7 +27,7 @@ def face_pressure(x: Any, faces: Any, chamber: Any, pressure: Any, out: Any) -> 
     for f in numba.prange(faces.shape[0]):
         n = np.empty(4)
         d = np.empty((4, 2))
-        t = np.empty((2, 3))
+        c = np.empty(3)
         for a in range(4):
             for i in range(3):
                 out[f, a, i] = 0.0
@@ -37,19 +37,10 @@ def face_pressure(x: Any, faces: Any, chamber: Any, pressure: Any, out: Any) -> 
         for q in range(4):
             shape(POINTS[q, 0], POINTS[q, 1], n)
             shape_derivatives(POINTS[q, 0], POINTS[q, 1], d)
-            for i in range(3):
-                t[0, i] = 0.0
-                t[1, i] = 0.0
-                for a in range(4):
-                    t[0, i] += d[a, 0] * x[faces[f, a], i]
-                    t[1, i] += d[a, 1] * x[faces[f, a], i]
-            c0 = p * (t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1])
-            c1 = p * (t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2])
-            c2 = p * (t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0])
+            area_vector(x, faces[f], d, c)
             for a in range(4):
-                out[f, a, 0] -= n[a] * c0
-                out[f, a, 1] -= n[a] * c1
-                out[f, a, 2] -= n[a] * c2
+                for i in range(3):
+                    out[f, a, i] -= p * n[a] * c[i]
 
 
 @parallel_kernel
@@ -79,6 +70,7 @@ def kick(
     damping: float,
     gravity: Any,
     mass: Any,
+    heavy: Any,
     owner: Any,
     fixed: Any,
     internal: Any,
@@ -92,7 +84,8 @@ def kick(
 ) -> None:
     """Advance the velocities of free nodes by `h` [s] and sum the work of the forces.
 
-    `damping` [1/s] acts on the mass, at the middle of the kick. `total` (node_count, 3) receives
+    `mass` (node_count,) resists, `heavy` has weight [kg]. `damping` [1/s] acts on the mass, at the
+    middle of the kick. `total` (node_count, 3) receives
     the force without gravity at nodes a rigid body owns. `internal` and `viscous` are forces the
     body resists with. `parts` (PARTS, 7) receives, per part of the nodes: kinetic energy of the
     mean velocity [J], the work [J] of the internal forces (as forces on the nodes), of pressure,
@@ -131,7 +124,7 @@ def kick(
                     + dissipative[node, i]
                     - internal[node, i]
                     - viscous[node, i]
-                    + m * gravity[i]
+                    + heavy[node] * gravity[i]
                 )
                 before = v[node, i]
                 after = ((1.0 - 0.5 * damping * h) * before + r * f) / (1.0 + 0.5 * damping * h)
@@ -238,8 +231,9 @@ def bond_forces(
 ) -> None:
     """Add rods between pairs of nodes, (pair_count,), of `stiffness` [N/m].
 
-    Their rest length is the share `left` of `length` [m]. `damping` [s] is the ratio of dashpot to spring. `totals` (5,) receives the energy [J], the
-    resultant of the stretched rods on the first nodes [N] (3) and the largest change of length [m].
+    Their rest length is the share `left` of `length` [m]. `damping` [s] is the ratio of dashpot to
+    spring. `totals` (5,) receives the energy [J], the resultant of the stretched rods on the first
+    nodes [N] (3) and the largest change of length [m].
     """
     for k in range(5):
         totals[k] = 0.0
@@ -275,7 +269,7 @@ def bond_forces(
 
 @parallel_kernel
 def element_rates(
-    tangents: Any, pair_of: Any, cells: Any, element_mass: Any, extra: Any, out: Any
+    tangents: Any, pair_of: Any, cells: Any, element_mass: Any, stiffening: float, out: Any
 ) -> None:
     """Bound of the square of each element's highest frequency [1/s2], shape (cell_count,).
 
@@ -284,14 +278,12 @@ def element_rates(
     bounds the assembled mesh's (B. M. Irons & G. Treharne, A bound theorem in eigenvalues and
     its practical application, 1971). `tangents` (cell_count, 36, 3, 3) are the blocks of corner
     pairs ``pair_of[a, b]`` with a <= b; `element_mass` (cell_count, 8) [kg] is the corners' part
-    of the nodal masses; `extra` (node_count,) [1/s2] is added at its worst corner.
+    of the nodal masses. The bound is multiplied by `stiffening`.
     """
     for e in numba.prange(cells.shape[0]):
         a = np.empty((24, 24))
         b = np.empty((24, 24))
-        worst = 0.0
         for p in range(8):
-            worst = max(worst, extra[cells[e, p]])
             for q in range(p, 8):
                 scale = 1.0 / math.sqrt(element_mass[e, p] * element_mass[e, q])
                 block = pair_of[p, q]
@@ -305,7 +297,7 @@ def element_rates(
             for j in range(24):
                 largest = max(largest, abs(a[i, j]))
         if not largest > 0.0:
-            out[e] = worst
+            out[e] = largest
             continue
         for i in range(24):
             for j in range(24):
@@ -324,7 +316,24 @@ def element_rates(
                 for k in range(24):
                     s += b[i, k] * b[j, k]
                 trace += s * s if i == j else 2.0 * s * s
-        out[e] = largest * trace**0.125 + worst
+        out[e] = stiffening * largest * trace**0.125
+
+
+@kernel
+def combined_rates(elements: Any, cells: Any, springs: Any, dashpots: Any, out: Any) -> None:
+    """Add to the `elements`' bounds [1/s2] what acts at their worst corners.
+
+    `springs` (node_count,) [1/s2] and `dashpots` (node_count,) [1/s]; `out` (cell_count,) receives
+    the square of the frequency of the undamped system that has the same largest step, see
+    `integrator.highest_frequency`.
+    """
+    for e in range(cells.shape[0]):
+        spring = 0.0
+        half = 0.0
+        for p in range(8):
+            spring = max(spring, springs[cells[e, p]])
+            half = max(half, 0.5 * dashpots[cells[e, p]])
+        out[e] = (half + math.sqrt(half * half + elements[e] + spring)) ** 2
 
 
 @kernel

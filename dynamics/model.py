@@ -198,6 +198,7 @@ class Model:
         if (self.mass[free] <= 0.0).any():
             bare = int(np.flatnonzero(free & (self.mass <= 0.0))[0])
             raise InputError(f"node {bare} has no mass")
+        self.own_mass = self.mass  # that which has weight
         self.scaled_mass = 0.0  # added by selective mass scaling [kg]
 
     @property

@@ -102,13 +102,7 @@ class FaceContact:
         self.depth = depth
         self.margin = margin
         self.frozen = False  # points keep their partners and shares, see `StaticProblem.freeze`
-        surface = np.ascontiguousarray(surface, dtype=np.int64)
-        partner = np.ascontiguousarray(partner, dtype=np.int64)
-        same = surface.shape == partner.shape and bool((surface == partner).all())
-        # In self-contact every point is once slave and meets its partner as a slave too.
-        self._passes = [SurfacePass(nodes, surface, partner, joint_gap if same else None)]
-        if not same:
-            self._passes.append(SurfacePass(nodes, partner, surface, None))
+        self._passes = surface_passes(nodes, surface, partner, joint_gap)
         self.update(nodes)
 
     def couplings(self) -> list[np.ndarray]:
@@ -209,6 +203,20 @@ class FaceContact:
                 highest = max(highest, float(p.pressure.max()))
         on_first = -first[np.unique(self._passes[0].slaves)].sum(axis=0)
         return ContactReport(on_first, area, deepest, highest)
+
+
+def surface_passes(
+    nodes: np.ndarray, surface: np.ndarray, partner: np.ndarray, joint_gap: float
+) -> list[SurfacePass]:
+    """One pass of each surface against the other; a single one for a surface against itself.
+
+    In self-contact every point is once slave and meets its partner as a slave too.
+    """
+    surface = np.ascontiguousarray(surface, dtype=np.int64)
+    partner = np.ascontiguousarray(partner, dtype=np.int64)
+    if np.array_equal(surface, partner):
+        return [SurfacePass(nodes, surface, partner, joint_gap)]
+    return [SurfacePass(nodes, surface, partner, None), SurfacePass(nodes, partner, surface, None)]
 
 
 class SurfacePass:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexapod.contact.kernels import POINTS, shape, shape_derivatives
+from flexapod.contact.face_kernels import POINTS, area_vector, shape, shape_derivatives
 from flexapod.core.jit import kernel
 
 _POINTS = POINTS
@@ -21,21 +21,12 @@ def pressure_force(x: Any, faces: Any, pressure: float, force: Any) -> None:
     """
     n = np.empty(4)
     d = np.empty((4, 2))
-    t = np.empty((2, 3))
     c = np.empty(3)
     for f in range(faces.shape[0]):
         for q in range(4):
             shape(_POINTS[q, 0], _POINTS[q, 1], n)
             shape_derivatives(_POINTS[q, 0], _POINTS[q, 1], d)
-            for i in range(3):
-                t[0, i] = 0.0
-                t[1, i] = 0.0
-                for a in range(4):
-                    t[0, i] += d[a, 0] * x[faces[f, a], i]
-                    t[1, i] += d[a, 1] * x[faces[f, a], i]
-            c[0] = t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1]
-            c[1] = t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2]
-            c[2] = t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0]
+            area_vector(x, faces[f], d, c)
             for a in range(4):
                 for i in range(3):
                     force[faces[f, a], i] += pressure * n[a] * c[i]
