@@ -52,7 +52,9 @@ def test_version(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr().out.startswith("flexapod 0.")
 
 
-@pytest.mark.parametrize("command", ["run", "mesh", "fit", "cases", "plot", "schema"])
+@pytest.mark.parametrize(
+    "command", ["run", "mesh", "fit", "fit-relaxation", "cases", "plot", "schema"]
+)
 def test_help_has_an_example(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert _call([command, "--help"]) == 0
     assert "flexapod" in capfd.readouterr().out.split("Example", 1)[1]
