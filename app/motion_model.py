@@ -205,6 +205,10 @@ def assemble_motion(
     if settle and sink and _is_set_down(spec_start, model, ground):
         assert spec_start is not None
         _sink_in(model, state, spec_start, rigid, ground_slope(loaded), say)
+        if spec.mass_scaling is not None:
+            # Squeezed elements have become stiffer, and what touches now counts too.
+            added = scale_mass(model, state, work, spec.mass_scaling)
+            say(f"mass scaling adds another {added * 1e3:.3g} g")
     set_in_motion(model, state, rigid)
     free = model.owner < 0
     total = float(model.own_mass[free].sum() + model.rigid.mass.sum())

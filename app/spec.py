@@ -576,7 +576,19 @@ class Case(Table):
                 c for c in self.contact if c.type in ("plane", "weight")
             ],
             'probe of type "reaction"': [p for p in self.probe if p.type == "reaction"],
+            "reference": self.reference,
+            "solver": self.solver if self.solver != SolverSpec() else None,
         }
         stray = [name for name, value in still.items() if value]
         if stray:
             raise ValueError(f"a case with [dynamics] cannot have {', '.join(stray)}")
+        names = [bond.name for bond in self.bond]
+        double = sorted({name for name in names if names.count(name) > 1})
+        if double:
+            raise ValueError(f"bond names must differ; used twice: {', '.join(double)}")
+        closed = [bond.name for bond in self.bond if bond.closed]
+        if closed and (self.start is None or self.start.settle == 0.0):
+            raise ValueError(
+                f"bond {closed[0]} has to be drawn together while a start shape settles: give a "
+                "[start] with settle, or write closed = false"
+            )

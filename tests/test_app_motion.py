@@ -195,6 +195,15 @@ def test_with_value_sets_one_key(case: Path) -> None:
         (("[gravity]", '[[step]]\nname = "a"\nloads = { inflation = 1.0 }\n[gravity]'), "step"),
         (('type = "ground"', 'type = "plane"'), "ground"),
         (('case = "shape.toml"', 'case = "none.toml"'), "no such case"),
+        (("[gravity]", "[solver]\ntolerance = 1e-4\n[gravity]"), "solver"),
+        (
+            ("[gravity]", '[[bond]]\nname = "a"\nsurfaces = ["x0", "x1"]\n' * 2 + "[gravity]"),
+            "twice",
+        ),
+        (
+            ('settle = "1 ms"', 'settle = "0 s"\n[[bond]]\nname = "a"\nsurfaces = ["x0", "x1"]'),
+            "drawn together",
+        ),
     ],
 )
 def test_refusals(case: Path, tmp_path: Path, change: tuple[str, str], words: str) -> None:
