@@ -130,11 +130,10 @@ def pick_candidates(
                     apart += d * master_rest_normal[m, i]
                     square += d * d
                     cosine += slave_rest_normal[f, i] * master_rest_normal[m, i]
-                if not abs(apart) > joint_gap:
-                    continue
                 opposite = cosine < facing and apart > 0.0  # and not back to back on one wall
+                across = abs(apart) > joint_gap
                 size = max(slave_size[f], master_size[m])
-                if not opposite and not math.sqrt(square) > crease * size:
+                if not (opposite and across) and not math.sqrt(square) > crease * size:
                     continue
             out[f, count] = m
             count += 1

@@ -38,8 +38,9 @@ def candidate_faces(
         Largest distance [m] between face centres that can matter.
     reference, joint_gap
         Undeformed positions [m], and the normal distance [m] below which two faces of one body
-        count as joined: the two sides of a corner lie in one plane back to back, and would be
-        found "in contact" as soon as the corner shears. None (separate bodies) keeps them all.
+        count as joined where they are near each other (`CREASE`): the two sides of a corner lie in
+        one plane back to back, and would be found "in contact" as soon as the corner shears. None
+        (separate bodies) keeps them all.
 
     Returns
     -------

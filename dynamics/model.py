@@ -29,7 +29,8 @@ class Damping:
     stiffness
         Fraction of critical damping at the mesh's highest frequency (a bulk-viscosity-like
         coefficient, 0.06 is usual): ``K v`` times twice this over that frequency. It calms what the
-        mesh does not resolve and costs about that fraction of the stable step.
+        mesh does not resolve and costs about that fraction of the stable step. Its force is the
+        internal one of a shape a little ahead, so angular momentum is kept but for that lead.
     """
 
     mass: float = 0.0
