@@ -184,9 +184,14 @@ def assemble_motion(
         bonds=make_bonds(loaded, mesh, body, carried, u),
     )
     work = Workspace(model)
-    if spec.mass_scaling is not None:
-        added = scale_mass(model, model.start(u), work, spec.mass_scaling)
-        say(f"mass scaling adds {added * 1e3:.3g} g")
+
+    def make_heavier(state: State) -> None:
+        """Scale masses for elements as they are now, and for what they touch."""
+        if spec is not None and spec.mass_scaling is not None:
+            added = scale_mass(model, state, work, spec.mass_scaling)
+            say(f"mass scaling adds {added * 1e3:.3g} g")
+
+    make_heavier(model.start(u))
     shape = Shape(u, {})
     if settled is not None:
         shape = settled
@@ -204,11 +209,9 @@ def assemble_motion(
             state.histories[k] = {key: value.copy() for key, value in kept.items()}
     if settle and sink and _is_set_down(spec_start, model, ground):
         assert spec_start is not None
+        make_heavier(state)
         _sink_in(model, state, spec_start, rigid, ground_slope(loaded), say)
-        if spec.mass_scaling is not None:
-            # Squeezed elements have become stiffer, and what touches now counts too.
-            added = scale_mass(model, state, work, spec.mass_scaling)
-            say(f"mass scaling adds another {added * 1e3:.3g} g")
+        make_heavier(state)
     set_in_motion(model, state, rigid)
     free = model.owner < 0
     total = float(model.own_mass[free].sum() + model.rigid.mass.sum())

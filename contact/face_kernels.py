@@ -165,28 +165,42 @@ def smooth_step(a: float) -> float:
 
 
 @inline_kernel
-def _out_of_reach(x: Any, face: Any, p: Any, margin: float, limit: float) -> bool:
-    """Whether `p` is surely farther than `limit` [m] from the face widened by `margin`."""
-    # x(xi, eta) = c + xi a + eta b + xi eta h, so the widened face lies in a ball about c.
-    aa = 0.0
-    bb = 0.0
-    hh = 0.0
-    far = 0.0
-    for i in range(3):
-        x0 = x[face[0], i]
-        x1 = x[face[1], i]
-        x2 = x[face[2], i]
-        x3 = x[face[3], i]
-        a = 0.25 * (x1 - x0 + x2 - x3)
-        b = 0.25 * (x3 - x0 + x2 - x1)
-        h = 0.25 * (x0 - x1 + x2 - x3)
-        r = p[i] - 0.25 * (x0 + x1 + x2 + x3)
-        aa += a * a
-        bb += b * b
-        hh += h * h
-        far += r * r
+def out_of_reach(x: Any, face: Any, p: Any, margin: float, limit: float) -> bool:
+    """Whether `p` is surely farther than `limit` [m] from the face widened by `margin`.
+
+    The face is c + xi a + eta b + xi eta h; a slab across each of a, b and a x b holds all of it.
+    """
+    f0, f1, f2, f3 = face[0], face[1], face[2], face[3]
+    ax = 0.25 * (x[f1, 0] - x[f0, 0] + x[f2, 0] - x[f3, 0])
+    ay = 0.25 * (x[f1, 1] - x[f0, 1] + x[f2, 1] - x[f3, 1])
+    az = 0.25 * (x[f1, 2] - x[f0, 2] + x[f2, 2] - x[f3, 2])
+    bx = 0.25 * (x[f3, 0] - x[f0, 0] + x[f2, 0] - x[f1, 0])
+    by = 0.25 * (x[f3, 1] - x[f0, 1] + x[f2, 1] - x[f1, 1])
+    bz = 0.25 * (x[f3, 2] - x[f0, 2] + x[f2, 2] - x[f1, 2])
+    hx = 0.25 * (x[f0, 0] - x[f1, 0] + x[f2, 0] - x[f3, 0])
+    hy = 0.25 * (x[f0, 1] - x[f1, 1] + x[f2, 1] - x[f3, 1])
+    hz = 0.25 * (x[f0, 2] - x[f1, 2] + x[f2, 2] - x[f3, 2])
+    rx = p[0] - 0.25 * (x[f0, 0] + x[f1, 0] + x[f2, 0] + x[f3, 0])
+    ry = p[1] - 0.25 * (x[f0, 1] + x[f1, 1] + x[f2, 1] + x[f3, 1])
+    rz = p[2] - 0.25 * (x[f0, 2] + x[f1, 2] + x[f2, 2] + x[f3, 2])
     e = 1.0 + margin
-    return math.sqrt(far) > limit + e * (math.sqrt(aa) + math.sqrt(bb) + e * math.sqrt(hh))
+    # Components times the length of the direction, to spare the square roots of those that pass.
+    nx = ay * bz - az * by
+    ny = az * bx - ax * bz
+    nz = ax * by - ay * bx
+    over = abs(rx * nx + ry * ny + rz * nz) - e * e * abs(hx * nx + hy * ny + hz * nz)
+    if over > 0.0 and over * over > limit * limit * (nx * nx + ny * ny + nz * nz):
+        return True
+    aa = ax * ax + ay * ay + az * az
+    bb = bx * bx + by * by + bz * bz
+    ab = abs(ax * bx + ay * by + az * bz)
+    over = abs(rx * ax + ry * ay + rz * az) - e * (aa + ab)
+    over -= e * e * abs(hx * ax + hy * ay + hz * az)
+    if over > 0.0 and over * over > limit * limit * aa:
+        return True
+    over = abs(rx * bx + ry * by + rz * bz) - e * (bb + ab)
+    over -= e * e * abs(hx * bx + hy * by + hz * bz)
+    return over > 0.0 and over * over > limit * limit * bb
 
 
 @inline_kernel
@@ -225,7 +239,7 @@ def choose_partner(
         m = candidates[f, c]
         if m < 0:
             break
-        if _out_of_reach(x, masters[m], p, margin, min(nearest, farthest)):
+        if out_of_reach(x, masters[m], p, margin, min(nearest, farthest)):
             continue
         xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
         if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import get_num_threads
 from scipy.spatial import cKDTree
 
 from flexapod.contact import kernels
@@ -23,7 +24,7 @@ def candidate_faces(
     slaves: np.ndarray,
     masters: np.ndarray,
     reach: float,
-    reference: np.ndarray | None = None,
+    rest: Rest | None = None,
     joint_gap: float = 0.0,
 ) -> np.ndarray:
     """Return master faces that each slave face may touch, nearest first.
@@ -36,8 +37,8 @@ def candidate_faces(
         Corner quadruples, shapes (slave_count, 4) and (master_count, 4); may be the same array.
     reach
         Largest distance [m] between face centres that can matter.
-    reference, joint_gap
-        Undeformed positions [m], and the normal distance [m] below which two faces of one body
+    rest, joint_gap
+        Both surfaces undeformed, and the normal distance [m] below which two faces of one body
         count as joined where they are near each other (`CREASE`): the two sides of a corner lie in
         one plane back to back, and would be found "in contact" as soon as the corner shears. None
         (separate bodies) keeps them all.
@@ -54,8 +55,11 @@ def candidate_faces(
     slave_frames, master_frames = _frames(x, slaves), _frames(x, masters)
     # Neighbours on the same surface are many and never partners: ask for several times more.
     count = min(5 * CANDIDATE_COUNT, masters.shape[0])
-    _, found = cKDTree(master_frames[0]).query(slave_frames[0], k=count, distance_upper_bound=reach)
-    rest = _Rest.of(x if reference is None else reference, slaves, masters)
+    _, found = cKDTree(master_frames[0]).query(
+        slave_frames[0], k=count, distance_upper_bound=reach, workers=get_num_threads()
+    )
+    joined = rest is not None
+    rest = rest or Rest.of(x, slaves, masters)
     kernels.pick_candidates(
         found.reshape(slaves.shape[0], count),
         slaves,
@@ -63,7 +67,7 @@ def candidate_faces(
         slave_frames[1],
         master_frames[1],
         FACING_COSINE,
-        reference is not None,
+        joined,
         joint_gap,
         CREASE,
         *rest,
@@ -72,7 +76,7 @@ def candidate_faces(
     return out
 
 
-class _Rest(NamedTuple):
+class Rest(NamedTuple):
     """Centres, normals and diagonals of both surfaces at rest."""
 
     slave_centre: np.ndarray
@@ -83,7 +87,8 @@ class _Rest(NamedTuple):
     master_size: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray, slaves: np.ndarray, masters: np.ndarray) -> _Rest:
+    def of(cls, x: np.ndarray, slaves: np.ndarray, masters: np.ndarray) -> Rest:
+        """From undeformed positions `x` [m] and the corners of both."""
         return cls(
             *_frames(x, slaves), diagonals(x, slaves), *_frames(x, masters), diagonals(x, masters)
         )

@@ -16,6 +16,7 @@ import numpy as np
 from flexapod.contact.face_kernels import (
     choose_partner,
     gap_over,
+    out_of_reach,
     point,
     project,
     shape,
@@ -76,6 +77,8 @@ def mark_near(
                 m = candidates[f, c]
                 if m < 0:
                     break
+                if out_of_reach(x, masters[m], p, margin, reach):
+                    continue
                 xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
                 if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue

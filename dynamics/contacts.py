@@ -320,7 +320,8 @@ class SurfaceContact:
     skin
         Distance [m] up to which faces are watched.
     check_every
-        Steps after which motion is looked at, at the latest; sooner where anything is fast.
+        Steps after which motion is measured, at the latest; sooner where the surfaces deform fast,
+        not at all while nothing can have moved far enough.
     """
 
     def __init__(
@@ -333,7 +334,7 @@ class SurfaceContact:
         depth: float = 1e-3,
         margin: float = 0.3,
         joint_gap: float = 5e-4,
-        skin: float = 2e-3,
+        skin: float = 3e-3,
         check_every: int = 10,
         friction: FrictionLaw | None = None,
     ) -> None:
@@ -356,7 +357,9 @@ class SurfaceContact:
             "x": np.array(x[self.watched]),
             "x_near": np.array(x[self.watched]),
             "age": np.zeros(1, dtype=np.int64),
+            "next": np.ones(1, dtype=np.int64),
             "way": np.zeros(1),
+            "since": np.zeros(1),
             "depth": np.zeros(1),
             "spent": np.zeros(3),
         }
@@ -380,8 +383,7 @@ class SurfaceContact:
                 p.search(x, self.depth, self.margin)
                 for key in ("partner", "local", "gap", "fade"):
                     history[f"{key}{k}"][:] = getattr(p, key)
-            else:
-                p.find_candidates(x, self.depth)
+            p.find_candidates(x, self.depth + self.skin)
             history[f"candidates{k}"] = p.candidates
             # A point may slide in over a rim by the skin: half a face, about, and more is rare.
             track_kernels.mark_near(
@@ -406,23 +408,13 @@ class SurfaceContact:
             history[f"anchor_face{k}"][far] = -1
             p.pressure[far] = 0.0
             self.shear[k][far] = 0.0
-        history["x"][:] = x[self.watched]
+        np.take(x, self.watched, axis=0, out=history["x"])
         history["x_near"][:] = history["x"]
+        history["since"][0] = 0.0
 
     def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
         """See `DynamicContact`."""
-        history["age"][0] += 1
-        history["way"][0] += travel
-        anew = False
-        fast = history["way"][0] > LOOK_SHARE * self.skin
-        if fast or history["age"][0] % self.check_every == 0:
-            history["way"][0] = 0.0
-            if _relative_motion(history["x"], x, self.watched) > SEARCH_SHARE * self.skin:
-                self._search(x, history)
-                anew = True
-            elif _relative_motion(history["x_near"], x, self.watched) > LOOK_SHARE * self.skin:
-                np.take(x, self.watched, axis=0, out=history["x_near"])
-                anew = True
+        anew = self._look(x, history, travel)
         for k, p in enumerate(self.passes):
             track_kernels.track_partners(
                 x,
@@ -436,12 +428,43 @@ class SurfaceContact:
                 self.margin,
                 anew,
                 2.0 * LOOK_SHARE * self.skin,
-                0.075 * self.skin,
+                LOOK_SHARE * self.skin,
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
                 history[f"fade{k}"],
             )
+
+    def _look(self, x: np.ndarray, history: History, travel: float) -> bool:
+        """Whether near points without a partner are to look for one now; searches where due.
+
+        Relative motion is measured when any node may have gone far enough at all, and when half of
+        what is left would be used up at the pace so far.
+        """
+        limit = LOOK_SHARE * self.skin
+        history["age"][0] += 1
+        history["way"][0] += travel
+        age = int(history["age"][0])
+        if history["way"][0] <= limit or age < history["next"][0]:
+            return False
+        moved = _relative_motion(history["x_near"], x, self.watched)
+        left = limit - moved
+        if left > 0.2 * limit:
+            wait = int(0.5 * left * age / max(moved, 1e-300)) if moved > 0.0 else self.check_every
+            history["next"][0] = age + min(max(wait, 1), self.check_every)
+            return False
+        # No point has moved farther than the sum of its ways.
+        history["since"][0] += moved
+        if history["since"][0] > SEARCH_SHARE * self.skin:
+            history["since"][0] = _relative_motion(history["x"], x, self.watched)
+        if history["since"][0] > SEARCH_SHARE * self.skin:
+            self._search(x, history)
+        else:
+            np.take(x, self.watched, axis=0, out=history["x_near"])
+        history["way"][0] = 0.0
+        history["age"][0] = 0
+        history["next"][0] = min(max(age // 2, 1), self.check_every)
+        return True
 
     def add_forces(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexapod.contact import kernels
 from flexapod.contact.law import ContactLaw
-from flexapod.contact.search import candidate_faces, diagonals
+from flexapod.contact.search import Rest, candidate_faces, diagonals
 from flexapod.fem.loads import Stiffness
 
 
@@ -225,7 +225,7 @@ class SurfacePass:
     def __init__(
         self, nodes: np.ndarray, slaves: np.ndarray, masters: np.ndarray, joint_gap: float | None
     ) -> None:
-        self._rest = None if joint_gap is None else nodes
+        self._rest = None if joint_gap is None else Rest.of(nodes, slaves, masters)
         self._joint_gap = joint_gap or 0.0
         self.slaves = slaves
         self.masters = masters
@@ -242,11 +242,14 @@ class SurfacePass:
         self.candidates = np.full((slaves.shape[0], 1), -1, dtype=np.int32)
         self.couplings = np.empty((0, 8), dtype=np.int64)
 
-    def find_candidates(self, x: np.ndarray, depth: float) -> None:
-        """List the master faces each slave face may touch at positions `x` [m]."""
+    def find_candidates(self, x: np.ndarray, room: float) -> None:
+        """List the master faces each slave face may touch at positions `x` [m].
+
+        Surfaces may come nearer by `room` [m] until the next time.
+        """
         size = max(diagonals(x, faces).max(initial=0.0) for faces in (self.slaves, self.masters))
         self.candidates = candidate_faces(
-            x, self.slaves, self.masters, size + depth, self._rest, self._joint_gap
+            x, self.slaves, self.masters, size + room, self._rest, self._joint_gap
         )
 
     def search(self, x: np.ndarray, depth: float, margin: float) -> None:

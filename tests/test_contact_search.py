@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from statics_helpers import grid
 
-from flexapod.contact.search import CANDIDATE_COUNT, candidate_faces
+from flexapod.contact.search import CANDIDATE_COUNT, Rest, candidate_faces
 from flexapod.geometry.tagged import boundary_facets
 
 
@@ -61,8 +61,8 @@ def test_sides_joined_at_rest_are_left_out() -> None:
     x, faces, walls = _slot(2e-5)
     wall = faces[walls]
     assert (candidate_faces(x, wall, wall, 0.3)[:, 0] >= 0).all()
-    assert (candidate_faces(x, wall, wall, 0.3, x, 5e-4) == -1).all()
-    assert (candidate_faces(x, wall, wall, 0.3, x, 1e-5)[:, 0] >= 0).all()
+    assert (candidate_faces(x, wall, wall, 0.3, Rest.of(x, wall, wall), 5e-4) == -1).all()
+    assert (candidate_faces(x, wall, wall, 0.3, Rest.of(x, wall, wall), 1e-5)[:, 0] >= 0).all()
 
 
 def test_empty_surfaces() -> None:
@@ -93,7 +93,7 @@ def test_two_sides_of_one_wall_are_no_candidates() -> None:
     outward = np.where(x[faces[:, 0], 2] > 0.05, 1.0, -1.0)
     faces = np.where((normal[:, 2] * outward > 0.0)[:, None], faces, faces[:, ::-1])
     assert (candidate_faces(x, faces, faces, 0.3)[:, 0] >= 0).all()
-    assert (candidate_faces(x, faces, faces, 0.3, x, 5e-4) == -1).all()
+    assert (candidate_faces(x, faces, faces, 0.3, Rest.of(x, faces, faces), 5e-4) == -1).all()
 
 
 def test_the_sides_of_a_crease_are_candidates_only_away_from_it() -> None:
@@ -113,11 +113,12 @@ def test_the_sides_of_a_crease_are_candidates_only_away_from_it() -> None:
     rest, faces = leaves(np.pi / 2)
     folded, _ = leaves(np.radians(20.0))
     assert (candidate_faces(folded, faces, faces, 1.0)[:, 0] >= 0).all()
-    found = candidate_faces(folded, faces, faces, 1.0, rest, 1e-4)
+    found = candidate_faces(folded, faces, faces, 1.0, Rest.of(rest, faces, faces), 1e-4)
     # A face is 1/8 x 1, its diagonal 1.0078; 2.5 of them are further than the leaves reach.
     assert (found == -1).all()
     small = rest * [4.0, 0.25, 4.0]  # leaves 4 long of faces 1/2 x 1/4: a diagonal of 0.559
-    found = candidate_faces(folded * [4.0, 0.25, 4.0], faces, faces, 2.0, small, 1e-4)
+    here = folded * [4.0, 0.25, 4.0]
+    found = candidate_faces(here, faces, faces, 2.0, Rest.of(small, faces, faces), 1e-4)
     centre = small[faces].mean(axis=1)
     assert (found >= 0).any()
     for f, row in enumerate(found):
