@@ -71,7 +71,7 @@ def _tracks(results: Results) -> dict[str, np.ndarray]:
 
 
 def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -> None:
-    """Ways of centre and track probes over the ground, and speed and turn over time."""
+    """Ways of centre and tracks over the ground; speed, acceleration and turn over time."""
     time = results.columns["time_s"]
     tracks = _tracks(results)
     points = np.concatenate(list(tracks.values()))
@@ -99,7 +99,9 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
                 f'no column "{name}"; the columns are {", ".join(results.columns)}',
                 f"{results.folder}: plot.y",
             )
-    small = ["speed", "turn", *(["extra"] if extra else [])]
+    jolts = "centre_acceleration_m_s2"
+    kinds = {"speed": ["speed_m_s"], "acceleration": [jolts], "turn": ["turn_deg"], "extra": extra}
+    small = [name for name, heads in kinds.items() if any(h in results.columns for h in heads)]
     if ratio > 1.5:
         rows = [["track"] * len(small), small]
         tall = 8.4 / ratio
@@ -130,10 +132,8 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
         borderaxespad=0.1, ncols=max(1, min(len(tracks), 4 if ratio > 1.5 else 2)),
     )  # fmt: skip
 
-    for name, heads in (("speed", ["speed_m_s"]), ("turn", ["turn_deg"]), ("extra", extra)):
-        if name not in grid:
-            continue
-        axes = grid[name]
+    for name in small:
+        axes, heads = grid[name], kinds[name]
         for head, colour in zip(heads, _COLOURS * len(heads), strict=False):
             if head in results.columns:
                 _line(axes, time, results.columns[head], color=colour, label=label(head))

@@ -409,7 +409,9 @@ class State:
     strain_start: float = float("nan")  # of the strain energy [J]
 
     def begin_anew(self) -> None:
-        """Make this the start of a motion: at rest, at time zero, with an empty ledger."""
+        """Make this the start of a motion: at rest, at time zero, with empty ledgers."""
+        for history in self.histories:
+            history["spent"][:] = 0.0
         for array in (self.v, self.rigid_v, self.rigid_l, self.works):
             array[:] = 0.0
         self.interval = self.step_count = 0
