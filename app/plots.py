@@ -34,8 +34,8 @@ BLUE, RED, GREY = "#1f5fa8", "#c8402a", "#8a8f98"
 GREEN, PURPLE = "#2e8b57", "#8e5ea2"
 # The longer first: "speed_m_s" is in m/s, not in s.
 _UNITS = {
-    "m_s2": "m/s²", "m_s": "m/s", "kPa": "kPa", "deg": "°", "mm2": "mm²", "ml": "ml", "mm": "mm", "us": "µs",
-    "N": "N", "J": "J", "s": "s",
+    "m_s2": "m/s²", "m_s": "m/s", "kPa": "kPa", "deg": "°", "mm2": "mm²", "ml": "ml", "mm": "mm",
+    "us": "µs", "N": "N", "J": "J", "s": "s",
 }  # fmt: skip
 
 # --------------------------------------------------------------------------- reading
