@@ -147,6 +147,7 @@ class _Trials:
             if self.begin is None:
                 self.begin = centre(model, state)
             begin, before = self.begin, self._gravity(self.rested)
+            model.gravity = before  # and not what the last trial ended with
         after = model.gravity if self.motion is None else self._gravity(value)
         watch = _Watch(model, begin, self.spec.distance, self.spec.rest_speed, run.interval)
 

@@ -12,6 +12,7 @@ import pytest
 
 from flexapod.app import motion as motion_module
 from flexapod.app import plots
+from flexapod.app import search as search_module
 from flexapod.app.case import load_case, parse_case
 from flexapod.app.run import run_case
 from flexapod.app.search import split_quantity, with_value
@@ -166,6 +167,38 @@ def test_a_search_brackets_the_slope_at_which_the_body_slides(case: Path, tmp_pa
     again = run_case(load_case(str(case)), tmp_path / "out", resume=True)
     assert again.summary["results"]["threshold_deg"] == results["threshold_deg"]
     assert len(_rows(tmp_path / "out")) == 3
+
+
+def test_a_search_that_tilts_gravity_goes_on_from_where_the_body_rested(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = case.read_text().replace('slope = "10 deg"', "friction = 0.3")
+    search = SEARCH.replace("contact.0.slope", "gravity.tilt").replace('"20 deg"', '"5 deg"')
+    case.write_text(text.replace("[gravity]", "[gravity]\n") + search + 'ease = "4 ms"\n')
+    whole = run_case(load_case(str(case)), tmp_path / "whole")
+    assert whole.status is Status.DONE, whole.message
+    results = whole.summary["results"]
+    # It slides above atan 0.3 = 16.7 degrees; soft as it is, it leans by the distance a little
+    # before: within the search's tolerance.
+    assert results["bracket_high"] == results["bracket_low"] + 5.0
+    assert results["threshold_deg"] == pytest.approx(16.7, abs=5.0)
+    rows = _rows(tmp_path / "whole")
+    assert [row["value"] for row in rows][:3] == [1.0, 41.0, 21.0]
+
+    run, calls = search_module._Trials.run, [0]
+
+    def stop(self: object, *args: object) -> object:
+        calls[0] += 1
+        if calls[0] == 3:
+            raise KeyboardInterrupt
+        return run(self, *args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(search_module._Trials, "run", stop)
+    assert run_case(load_case(str(case)), tmp_path / "cut").status is Status.INTERRUPTED
+    monkeypatch.undo()
+    again = run_case(load_case(str(case)), tmp_path / "cut", resume=True)
+    assert again.status is Status.DONE
+    assert _rows(tmp_path / "cut") == rows
 
 
 def test_a_search_between_ends_that_agree_says_so(case: Path, tmp_path: Path) -> None:
