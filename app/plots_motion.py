@@ -173,7 +173,11 @@ def plot_energy(results: Results, path: Path) -> None:
         kept = [columns[f"{head}_J"] for head in heads if f"{head}_J" in columns]
         return np.sum([values - values[0] for values in kept], axis=0) + np.zeros(len(time))
 
-    losses = [n.removesuffix("_J") for n in columns if n.endswith("_loss_J")]
+    # Each contact has its own count beside the ledger's.
+    own = tuple(f"{name}_" for name in contact_names(results))
+    losses = [
+        n.removesuffix("_J") for n in columns if n.endswith("_loss_J") and not n.startswith(own)
+    ]
     lossy = [n for n in losses if np.abs(columns[f"{n}_J"]).max() > 0.0]
     lost = ", ".join(n.removesuffix("_loss").replace("_", " ") for n in lossy)
     curves = {
