@@ -7,11 +7,13 @@
     summary.json         status, sizes, time, memory, results, comparison with the reference
     fields.pvd           collection ParaView opens; fields/state_0000.vtu and on
     rigid.pvd            the same of the surfaces of rigid bodies; fields/rigid_0000.vtu and on
+    lines.pvd            the same of shells and coils made of lines; fields/lines_0000.vtu and on
     plots/*.png          drawn from the files above
     checkpoint.h5        the last accepted state, for --resume
 
-A file is written beside its place and renamed, so a run that is killed leaves the previous
-version and not half of the next.
+A body without hexahedra has no fields.pvd; its states are numbered all the same. A file is written
+beside its place and renamed, so a run that is killed leaves the previous version and not half of
+the next.
 """
 
 from __future__ import annotations
@@ -38,6 +40,13 @@ SUMMARY_FILE = "summary.json"
 CHECKPOINT_FILE = "checkpoint.h5"
 COLLECTION_FILE = "fields.pvd"
 RIGID_COLLECTION_FILE = "rigid.pvd"
+LINES_COLLECTION_FILE = "lines.pvd"
+# What the files of a state in fields/ begin with, and the collection that lists them.
+_COLLECTIONS = {
+    "state": COLLECTION_FILE,
+    "rigid": RIGID_COLLECTION_FILE,
+    "lines": LINES_COLLECTION_FILE,
+}
 PLOT_FILES = (
     "curve.png",
     "snapshots.png",
@@ -45,6 +54,8 @@ PLOT_FILES = (
     "energy.png",
     "contact.png",
     "animation.gif",
+    "voltage.png",
+    "sweep.png",
 )
 
 
@@ -72,6 +83,33 @@ class OutputSurface:
 
 
 @dataclass(frozen=True)
+class OutputLines:
+    """Shells and coils made of lines as they are written beside a state.
+
+    Pictures read the cell fields ``coil`` (-1 for a segment of a shell, else the coil's row),
+    ``on`` (1 while there is voltage), ``active_force`` and ``force`` (in all, as tension) [N] and
+    ``elongation`` [m].
+
+    Attributes
+    ----------
+    nodes
+        Positions at the start [m], shape (node_count, 3).
+    lines
+        Node pairs, shape (line_count, 2).
+    displacement
+        Of the nodes [m], shape (node_count, 3).
+    point_data, cell_data
+        Further fields by name, first axis nodes or lines.
+    """
+
+    nodes: np.ndarray
+    lines: np.ndarray
+    displacement: np.ndarray
+    point_data: dict[str, np.ndarray] = field(default_factory=dict)
+    cell_data: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class OutputState:
     """One state of the load path as it is written.
 
@@ -87,14 +125,17 @@ class OutputState:
         Further fields by name, first axis nodes or cells.
     rigid
         Surfaces of rigid bodies; None without.
+    lines
+        Shells and coils made of lines; None without.
     """
 
     time: float
-    row: dict[str, float]
+    row: Mapping[str, float | str]
     displacement: np.ndarray
     point_data: dict[str, np.ndarray] = field(default_factory=dict)
     cell_data: dict[str, np.ndarray] = field(default_factory=dict)
     rigid: OutputSurface | None = None
+    lines: OutputLines | None = None
 
 
 @contextmanager
@@ -164,7 +205,7 @@ class ResultsFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.rows: list[dict[str, float]] = []
+        self.rows: list[dict[str, Any]] = []
         self.times: list[float] = []
 
     # ------------------------------------------------------------------ opening
@@ -229,11 +270,9 @@ class ResultsFolder:
 
     def clear(self) -> None:
         """Remove the files of an earlier run, and only those."""
-        for name in (
-            CURVE_FILE, SUMMARY_FILE, CHECKPOINT_FILE, COLLECTION_FILE, RIGID_COLLECTION_FILE
-        ):  # fmt: skip
+        for name in (CURVE_FILE, SUMMARY_FILE, CHECKPOINT_FILE, *_COLLECTIONS.values()):
             (self.path / name).unlink(missing_ok=True)
-        for kind in ("state", "rigid"):
+        for kind in _COLLECTIONS:
             for file in (self.path / "fields").glob(f"{kind}_*.vtu"):
                 file.unlink()
         for name in PLOT_FILES:
@@ -249,26 +288,33 @@ class ResultsFolder:
         write_text(self.path / CASE_FILE, head + tomli_w.dumps(clean_json(resolved)))
 
     def write_state(self, nodes: np.ndarray, cells: np.ndarray, state: OutputState) -> None:
-        """Append a state: its fields, the collection, the row of curve.csv."""
+        """Append a state: its fields, the collections, the row of curve.csv.
+
+        Without cells, shape (0, 8), there is no file of them. What the first state has, surfaces
+        and lines too, all must have: the collections list one file per state.
+        """
         index = len(self.times)
-        write_vtu(self.path / "fields" / f"state_{index:04d}.vtu", nodes, cells, state)
+        fields = self.path / "fields"
+        if len(cells):
+            write_vtu(fields / f"state_{index:04d}.vtu", nodes, cells, state)
         if (rigid := state.rigid) is not None:
-            path = self.path / "fields" / f"rigid_{index:04d}.vtu"
-            write_vtu(path, rigid.nodes, rigid.faces, rigid)
+            write_vtu(fields / f"rigid_{index:04d}.vtu", rigid.nodes, rigid.faces, rigid)
+        if (lines := state.lines) is not None:
+            write_vtu(fields / f"lines_{index:04d}.vtu", lines.nodes, lines.lines, lines)
         self.times.append(state.time)
         self._write_collection()
         self.write_row(state.row)
 
-    def write_row(self, row: Mapping[str, float]) -> None:
-        """Append a row to curve.csv, without fields."""
+    def write_row(self, row: Mapping[str, float | str]) -> None:
+        """Append a row to curve.csv, without fields; texts are written as they are."""
         self.rows.append(dict(row))
         self._write_curve()
 
-    def keep(self, rows: Sequence[Mapping[str, float]], times: Sequence[float]) -> None:
+    def keep(self, rows: Sequence[Mapping[str, float | str]], times: Sequence[float]) -> None:
         """Go back to the states of a checkpoint; later ones are dropped."""
         self.rows = [dict(row) for row in rows]
         self.times = [float(time) for time in times]
-        for kind in ("state", "rigid"):
+        for kind in _COLLECTIONS:
             for file in (self.path / "fields").glob(f"{kind}_*.vtu"):
                 if int(file.stem.removeprefix(f"{kind}_")) >= len(self.times):
                     file.unlink()
@@ -276,9 +322,11 @@ class ResultsFolder:
         self._write_curve()
 
     def _write_collection(self) -> None:
-        self._write_one_collection(COLLECTION_FILE, "state")
-        if (self.path / "fields" / "rigid_0000.vtu").is_file():
-            self._write_one_collection(RIGID_COLLECTION_FILE, "rigid")
+        for kind, name in _COLLECTIONS.items():
+            if (self.path / "fields" / f"{kind}_0000.vtu").is_file():
+                self._write_one_collection(name, kind)
+            else:
+                (self.path / name).unlink(missing_ok=True)
 
     def _write_one_collection(self, name: str, kind: str) -> None:
         entries = "\n".join(
@@ -304,7 +352,8 @@ class ResultsFolder:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(heads)
             for row in self.rows:
-                writer.writerow([f"{row[head]:.10g}" for head in heads])
+                values = [row[head] for head in heads]
+                writer.writerow([v if isinstance(v, str) else f"{v:.10g}" for v in values])
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write summary.json."""
@@ -346,9 +395,15 @@ class ResultsFolder:
 
 
 def write_vtu(
-    path: Path, nodes: np.ndarray, cells: np.ndarray, state: OutputState | OutputSurface
+    path: Path,
+    nodes: np.ndarray,
+    cells: np.ndarray,
+    state: OutputState | OutputSurface | OutputLines,
 ) -> None:
-    """Write hexahedra or quadrilaterals for ParaView: compressed binary, fields in single."""
+    """Write hexahedra, quadrilaterals or lines for ParaView: compressed binary, fields in single.
+
+    Which of them the number of nodes per cell says.
+    """
     import meshio
 
     def single(array: np.ndarray) -> np.ndarray:
@@ -357,7 +412,7 @@ def write_vtu(
 
     mesh = meshio.Mesh(
         nodes,
-        [("hexahedron" if cells.shape[1] == 8 else "quad", cells)],
+        [({8: "hexahedron", 4: "quad", 2: "line"}[cells.shape[1]], cells)],
         point_data={
             "displacement": single(state.displacement),
             **{name: single(data) for name, data in state.point_data.items()},
