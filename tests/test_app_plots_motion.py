@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexapod.app import plots, plots_frames, plots_ground, plots_motion
+from flexapod.app import (
+    plots,
+    plots_film,
+    plots_frames,
+    plots_ground,
+    plots_motion,
+    plots_stage,
+)
 from flexapod.app.outputs import OutputState, ResultsFolder
 from flexapod.contact.ground import Ground, HeightField, Step, slope
 from flexapod.core.errors import InputError
@@ -304,7 +311,7 @@ def test_columns_the_case_asks_for(tmp_path: Path) -> None:
     target = tmp_path / "any.png"
     plot = {"x": "turn_deg", "y": ["kinetic_J"], "snapshots": [46.0, 90.0]}
     results = plots.read_results(_folder(tmp_path / "r", plot=plot))
-    assert plots_frames._wanted_frames(results, _frames(results)) == [2, 4]
+    assert plots_stage.wanted_frames(results, _frames(results)) == [2, 4]
     plots_motion.plot_motion_curve(results, [], target)
     assert target.is_file()
     results = plots.read_results(_folder(tmp_path / "s", plot={"y": ["lift_N"]}))
@@ -323,21 +330,21 @@ def _boxes(x: np.ndarray, z: np.ndarray, width: float) -> np.ndarray:
 def test_strip_takes_frames_that_stand_clear() -> None:
     # Faster and faster over ten widths: even places, not even times.
     x = np.linspace(0.0, 1.0, 41) ** 2
-    chosen = plots_frames.strip_frames(_boxes(x, 0 * x, 0.1))
+    chosen = plots_stage.strip_frames(_boxes(x, 0 * x, 0.1))
     assert chosen is not None
     assert len(chosen) == 7 and chosen[0] == 0 and chosen[-1] == 40
     assert np.diff(x[chosen]).min() > 0.1
     # On the spot, or there and back within two widths: no strip.
-    assert plots_frames.strip_frames(_boxes(0 * x, x, 0.1)) is None
-    assert plots_frames.strip_frames(_boxes(0.19 * x, 0 * x, 0.1)) is None
-    assert plots_frames.strip_frames(_boxes(np.zeros(1), np.zeros(1), 0.1)) is None
+    assert plots_stage.strip_frames(_boxes(0 * x, x, 0.1)) is None
+    assert plots_stage.strip_frames(_boxes(0.19 * x, 0 * x, 0.1)) is None
+    assert plots_stage.strip_frames(_boxes(np.zeros(1), np.zeros(1), 0.1)) is None
 
 
 def test_overlap_is_a_share_of_the_width() -> None:
     x, z = np.array([0.0, 0.05]), np.array([0.0, 0.2])
-    assert plots_frames._overlap(_boxes(x, 0 * z, 0.1)) == pytest.approx(0.5)
+    assert plots_stage.overlap(_boxes(x, 0 * z, 0.1)) == pytest.approx(0.5)
     # One above the other hides nothing.
-    assert plots_frames._overlap(_boxes(x, z, 0.1)) == 0.0
+    assert plots_stage.overlap(_boxes(x, z, 0.1)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -354,7 +361,7 @@ def test_overlap_is_a_share_of_the_width() -> None:
 )
 def test_playing_speed(gap: float, speed: float, shown: float) -> None:
     times = 0.3 + gap * np.arange(41)
-    each, got = plots_frames.playing(times)
+    each, got = plots_film.playing(times)
     assert got == pytest.approx(speed)
     assert len(each) == 41
     assert min(each) >= 20
