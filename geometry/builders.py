@@ -22,6 +22,8 @@ Cavities: "cavity_main" of "pneunet"; "cavity_turn_left" and "cavity_turn_right"
 has these two beside "cavity_curl", the air of main and assistant chambers together; with
 ``assistant_feed = "row"`` that is "cavity_main", "cavity_assistant_left" and
 "cavity_assistant_right" instead. A quarter has no left ones.
+
+"ring" has none of these but "silicone"; `flexapod.geometry.ring` names its four surfaces.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from typing import Protocol
 
 from flexapod.geometry.hexapod import CurlBuilder, TurnBuilder
 from flexapod.geometry.pneunet import PneunetBuilder
+from flexapod.geometry.ring import RingBuilder
 from flexapod.geometry.tagged import TaggedMesh
 
 
@@ -49,8 +52,11 @@ class Builder(Protocol):
         ...
 
 
-BUILDERS: dict[str, type[PneunetBuilder] | type[CurlBuilder] | type[TurnBuilder]] = {
+BUILDERS: dict[
+    str, type[PneunetBuilder] | type[CurlBuilder] | type[TurnBuilder] | type[RingBuilder]
+] = {
     "pneunet": PneunetBuilder,
     "curl": CurlBuilder,
     "turn": TurnBuilder,
+    "ring": RingBuilder,
 }

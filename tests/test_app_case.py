@@ -72,7 +72,11 @@ def test_si_inside() -> None:
         ("mesh.symmetry", "third", "must be one of whole, half, quarter"),
         ("mesh.main", {"gapp": "3 mm"}, "mesh.main.gapp: unknown key (did you mean gap?)"),
         ("mesh.main", {"gap": "4 mm"}, "l + d of main = l + d of assistant: 18 mm != 17 mm"),
-        ("mesh.builder", "crul", 'mesh.builder: must be one of pneunet, curl, turn; got "crul"'),
+        (
+            "mesh.builder",
+            "crul",
+            'mesh.builder: must be one of pneunet, curl, turn, ring; got "crul"',
+        ),
         ("mesh", {}, "mesh: write exactly one of builder and file"),
         ("mesh", {"file": "a.vtu", "builder": "curl"}, "write exactly one of builder and file"),
         ("mesh", {"file": "a.vtu", "size": "fine"}, "unknown key size"),
@@ -226,7 +230,7 @@ def test_schema_describes_quantities_and_builders() -> None:
         for choice in schema["$defs"]["MeshSpec"]["oneOf"]
         if isinstance(choice["properties"]["builder"], dict)
     }
-    assert set(options) == {"pneunet", "curl", "turn"}
+    assert set(options) == {"pneunet", "curl", "turn", "ring"}
     assert options["curl"]["servo_length"]["default"] == "45 mm"
     assert options["pneunet"]["dimensions"]["properties"]["gap"]["type"] == "string"
 
