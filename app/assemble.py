@@ -191,6 +191,8 @@ def _schema_of(cls: Any) -> dict[str, Any]:
 def build_mesh(loaded: LoadedCase) -> TaggedMesh:
     """Build or read the mesh of a case."""
     spec = loaded.case.mesh
+    if spec is None:
+        raise InputError("a ring has no mesh of its own to build", loaded.source)
     if spec.builder is not None:
         try:
             mesh: TaggedMesh = make_builder(spec, loaded.source).build()
@@ -255,8 +257,10 @@ def group_cells(mesh: TaggedMesh, pattern: str, where: str) -> np.ndarray:
     return np.unique(np.concatenate([mesh.cell_groups[name] for name in names]))
 
 
-def modelled_fraction(spec: MeshSpec) -> float:
-    """Part of the whole body the mesh holds; 1 for a mesh file."""
+def modelled_fraction(spec: MeshSpec | None) -> float:
+    """Part of the whole body the mesh holds; 1 for a mesh file, or without a mesh."""
+    if spec is None:
+        return 1.0
     return {"half": 0.5, "quarter": 0.25}.get(_symmetry(spec), 1.0)
 
 

@@ -54,7 +54,7 @@ class LoadedCase:
             table["step"] = [
                 step.model_dump(mode="json", exclude_none=True) for step in self.case.steps
             ]
-        if self.case.mesh.file is not None:
+        if self.case.mesh is not None and self.case.mesh.file is not None:
             table["mesh"]["file"] = str(self.path(self.case.mesh.file).resolve())
         for material in table["material"]:
             if "use" in material and material["use"].endswith(".toml"):
@@ -179,33 +179,38 @@ def parse_case(table: Mapping[str, Any], where: str) -> Case:
         if len(lines) == 1:
             raise InputError(lines[0], where) from None
         raise InputError("\n".join([f"{len(lines)} faults", *lines]), where) from None
-    from flexapod.app.assemble import check_builder
+    if case.mesh is not None:
+        from flexapod.app.assemble import check_builder
 
-    check_builder(case.mesh, where)
+        check_builder(case.mesh, where)
     return case
 
 
 def apply_setting(table: dict[str, Any], setting: str) -> None:
     """Apply one ``key.path=value``; list items go by index or by their name."""
     key, equals, text = setting.partition("=")
-    parts = [part.strip() for part in key.strip().split(".")]
-    if not equals or not all(parts):
+    if not equals or not all(part.strip() for part in key.split(".")):
         raise InputError(
             f'write key.path=value, for example step.inflate.outputs=5; got "{setting}"', "--set"
         )
-    where = f"--set {key.strip()}"
+    put_value(table, key, parse_value(text), f"--set {key.strip()}")
+
+
+def put_value(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """Put a value at ``key.path`` of a table; list items go by index or by their name."""
+    parts = [part.strip() for part in key.strip().split(".")]
     target: Any = table
     for depth, part in enumerate(parts):
         last = depth == len(parts) - 1
         if isinstance(target, list):
             index = _index(target, part, ".".join(parts[:depth]), where)
             if last:
-                target[index] = parse_value(text)
+                target[index] = value
             else:
                 target = target[index]
         elif isinstance(target, dict):
             if last:
-                target[part] = parse_value(text)
+                target[part] = value
             else:
                 target = target.setdefault(part, {})
         else:
@@ -362,6 +367,9 @@ def case_schema() -> dict[str, Any]:
     ]
     mesh.pop("additionalProperties", None)
     mesh["unevaluatedProperties"] = False
+    # A motion takes mesh and materials from the case it starts from; a ring has none.
+    schema["anyOf"] = [{"required": ["mesh", "material"]}, {"required": ["start"]},
+                       {"required": ["ring"]}]  # fmt: skip
     return schema
 
 
@@ -375,5 +383,6 @@ __all__ = [
     "load_case",
     "package_version",
     "parse_case",
+    "put_value",
     "shipped_cases",
 ]

@@ -38,7 +38,7 @@ def write_case_mesh(
     with stdout_to_stderr():
         mesh = build_mesh(loaded)
         expected = None
-        if loaded.case.mesh.builder is not None:
+        if loaded.case.mesh is not None and loaded.case.mesh.builder is not None:
             expected = make_builder(loaded.case.mesh, loaded.source).expected_volume()
         # The report weighs the body as if it were all of the first material.
         first = loaded.case.material[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from flexapod.app.motion_model import (
     restore_scaled,
     scaled_arrays,
     start_shape,
+    uphill,
 )
 from flexapod.app.motion_rigid import RigidTracks
 from flexapod.app.outputs import CHECKPOINT_FILE, OutputState, ResultsFolder, peak_memory
@@ -29,9 +31,25 @@ if TYPE_CHECKING:
     from flexapod.dynamics.model import State
 
 
+class _LeanFolder(ResultsFolder):
+    """Writes its curve once, at the end: one of many short runs."""
+
+    def write_row(self, row: Mapping[str, float | str]) -> None:
+        self.rows.append(dict(row))
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        self._write_curve()
+        with contextlib.suppress(OSError):
+            (self.path / "fields").rmdir()
+        super().write_summary(summary)
+
+
 class _Recorder:
-    def __init__(self, loaded: LoadedCase, motion: Motion, folder: ResultsFolder) -> None:
+    def __init__(
+        self, loaded: LoadedCase, motion: Motion, folder: ResultsFolder, lean: bool = False
+    ) -> None:
         self.loaded = loaded
+        self.lean = lean
         self.motion = motion
         self.folder = folder
         self.probes: list[Probe] = make_probes(loaded, motion.mesh)
@@ -130,7 +148,8 @@ class _Recorder:
         row = self.row(energies)
         if self.centre_start is None:
             self.centre_start = np.array([row[f"centre_{axis}_mm"] for axis in "xyz"])
-        if state.interval % self.every == 0 or state.interval >= self.intervals:
+        due = state.interval % self.every == 0 or state.interval >= self.intervals
+        if due and not self.lean:
             self.folder.write_state(
                 self.motion.mesh.nodes, self.motion.mesh.cells, self._frame(state, row)
             )
@@ -167,6 +186,8 @@ class _Recorder:
 
     def checkpoint(self, state: State) -> None:
         """Keep all that moves."""
+        if self.lean:
+            return
         arrays, about = state.to_arrays()
         extra = {
             "previous": self.previous,
@@ -250,21 +271,28 @@ def run_motion(
     progress: Callable[[Any], None],
     say: Say,
     notices: list[str],
+    lean: bool = False,
+    start_at: Path | None = None,
 ) -> tuple[Status, str, dict[str, Any]]:
-    """Run a case with [dynamics]; returns status, message and summary, all files written."""
+    """Run a case with [dynamics]; returns status, message and summary, all files written.
+
+    A `lean` run keeps its case, curve and summary only, as one of many. `start_at` is the folder
+    whose ``start`` holds the start shape (default: `out`).
+    """
     from flexapod.app.run import Progress, resolve, terminated_like_interrupted
     from flexapod.dynamics.integrator import Options, RunStats, march
 
     began = time.perf_counter()
     spec = loaded.case.dynamics
     assert spec is not None
-    folder = ResultsFolder.open(out, resolve(loaded, None), resume=resume)
+    kind = _LeanFolder if lean else ResultsFolder
+    folder = kind.open(out, resolve(loaded, None), resume=resume)
     going_on = resume and (out / CHECKPOINT_FILE).is_file()
     with terminated_like_interrupted():
         try:
             # Names and laws are looked up before minutes are spent on the start shape.
             assemble_motion(loaded, None, lambda text: None, settle=False)
-            start = start_shape(loaded, out, resume, say)
+            start = start_shape(loaded, start_at or out, resume, say)
             motion = assemble_motion(loaded, start, say, settle=not going_on)
         except (KeyboardInterrupt, SolverError) as error:
             status = error.status if isinstance(error, SolverError) else Status.INTERRUPTED
@@ -272,7 +300,7 @@ def run_motion(
             summary = _short_summary(loaded, out, began, status, message)
             folder.write_summary(summary)
             return status, message, summary
-    recorder = _Recorder(loaded, motion, folder)
+    recorder = _Recorder(loaded, motion, folder, lean)
     say(f"{len(motion.mesh.cells)} hexahedra, {len(motion.mesh.nodes)} nodes")
     if resume and recorder.resume():
         say(f"going on from {motion.state.interval * spec.interval:.4g} s")
@@ -368,6 +396,7 @@ def _results(
         results["distance_m"] = 1e-3 * float(np.linalg.norm(now - recorder.centre_start))
         results["peak_speed_m_s"] = max(row["speed_m_s"] for row in rows)
         results["turns"] = last["turn_deg"] / 360.0
+        results["uphill_m"] = 1e-3 * float((now - recorder.centre_start) @ uphill(recorder.loaded))
         results["peak_acceleration_m_s2"] = max(row["centre_acceleration_m_s2"] for row in rows)
         worst = max(abs(row["unaccounted_J"]) for row in rows)
         results["energy_balance"] = worst / max(recorder.largest_energy, 1e-300)

@@ -383,6 +383,12 @@ def ground_slope(loaded: LoadedCase) -> float:
     return max((c.slope for c in loaded.case.contact if c.type == "ground"), default=0.0, key=abs)
 
 
+def uphill(loaded: LoadedCase) -> np.ndarray:
+    """Direction along the ground that goes up a slope: towards -x, as downhill is +x."""
+    slope = ground_slope(loaded)
+    return np.array([-math.cos(slope), 0.0, math.sin(slope)])
+
+
 def _carried_along(model: Model, rigid: RigidParts, u: np.ndarray) -> np.ndarray:
     """Places of the surface nodes of tied bodies [m] at the mesh's displacements `u` [m]."""
     own = np.flatnonzero(~rigid.loose[rigid.owner])

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -290,7 +291,7 @@ def resolve(loaded: LoadedCase, mesh: TaggedMesh | None) -> dict[str, Any]:
             "nodes": len(mesh.nodes),
         }
     resolved = loaded.resolved(**info)
-    if loaded.case.mesh.builder is not None:
+    if loaded.case.mesh is not None and loaded.case.mesh.builder is not None:
         options = builder_options(loaded.case.mesh, loaded.source)
         resolved["mesh"] = {"builder": loaded.case.mesh.builder, **options}
     return resolved
@@ -303,6 +304,8 @@ def run_case(
     resume: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     say: Callable[[str], None] = lambda _: None,
+    lean: bool = False,
+    start_at: Path | None = None,
 ) -> RunResult:
     """Run a case into a folder; a path that stops early is a status, not an exception.
 
@@ -316,9 +319,20 @@ def run_case(
         Go on from the folder's last checkpoint.
     progress, say
         Called with each accepted state, and with each notice.
+    lean
+        Of a motion: keep case, curve and summary only, without fields and pictures.
+    start_at
+        Of a motion: folder whose ``start`` holds the start shape (default: `out`).
     """
     with stdout_to_stderr(), _notices(say) as notices:
-        return _run(loaded, out, resume, progress, say, notices)
+        if lean:
+            from flexapod.app.motion import run_motion
+
+            status, message, summary = run_motion(
+                loaded, out, resume, progress, say, notices, lean, start_at
+            )
+            return RunResult(status, message, out, summary)
+        return _run(loaded, out, resume, progress, say, notices, start_at)
 
 
 def _run(
@@ -328,13 +342,11 @@ def _run(
     progress: Callable[[Progress], None],
     say: Callable[[str], None],
     notices: list[str],
+    start_at: Path | None,
 ) -> RunResult:
     if loaded.case.dynamics is not None:
-        from flexapod.app.motion import run_motion
-        from flexapod.app.search import run_search
-
         began = time.perf_counter()
-        run = run_motion if loaded.case.search is None else run_search
+        run = _moving_run(loaded, start_at)
         status, message, summary = run(loaded, out, resume, progress, say, notices)
         return _finish(ResultsFolder(out), status, message, summary, notices, say, began)
     from flexapod.fem.static import solve_path
@@ -386,6 +398,20 @@ def _run(
     }
     folder.write_summary(summary)
     return _finish(folder, result.status, result.message, summary, notices, say, began)
+
+
+def _moving_run(loaded: LoadedCase, start_at: Path | None) -> Callable[..., Any]:
+    """What runs a case that moves: alone, many times, or until a value is found."""
+    from flexapod.app.motion import run_motion
+    from flexapod.app.search import run_search
+    from flexapod.app.search_climb import run_climb
+    from flexapod.app.sweep import run_sweep
+
+    if loaded.case.sweep is not None:
+        return run_sweep
+    if loaded.case.search is None:
+        return partial(run_motion, start_at=start_at)
+    return run_climb if loaded.case.search.goal == "climb" else run_search
 
 
 def _finish(

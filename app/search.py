@@ -61,7 +61,7 @@ def with_value(loaded: LoadedCase, key: str, text: str) -> LoadedCase:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Range:
+class Range:
     """Where is searched, in `unit`."""
 
     low: float
@@ -70,7 +70,7 @@ class _Range:
     unit: str
 
     @classmethod
-    def of(cls, loaded: LoadedCase) -> _Range:
+    def of(cls, loaded: LoadedCase) -> Range:
         spec = loaded.case.search
         assert spec is not None
         where = f"{loaded.source}: search"
@@ -253,7 +253,7 @@ def run_search(
     began = time.perf_counter()
     spec, moving = loaded.case.search, loaded.case.dynamics
     assert spec is not None and moving is not None
-    range_ = _Range.of(loaded)
+    range_ = Range.of(loaded)
     folder = ResultsFolder.open(out, resolve(loaded, None), resume=resume)
     done: dict[float, dict[str, float]] = {}
     kept = folder.read_checkpoint() if resume else None

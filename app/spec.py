@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticKnownError
 
 from flexapod.app.spec_base import Axis, Names, Table, Triple, default_text, one_or_many
 from flexapod.app.spec_contact import ContactBase, MovingContact
@@ -19,6 +20,8 @@ from flexapod.app.spec_dynamics import (
     StartSpec,
 )
 from flexapod.app.spec_rigid import RigidSpec
+from flexapod.app.spec_ring import SHELL, ActuationSpec, CoilsSpec, RingSpec
+from flexapod.app.spec_sweep import SweepSpec
 from flexapod.core.units import (
     Acceleration,
     Angle,
@@ -467,13 +470,27 @@ class ResolvedSpec(Table):
     nodes: int | None = None
 
 
+def _no_ring(info: ValidationInfo) -> bool:
+    """Whether a case has no [ring]; of a faulty one its own fault is said, and no other."""
+    return "ring" in info.data and info.data["ring"] is None
+
+
 class Case(Table):
     """A whole case file."""
 
     name: str | None = Field(default=None, description="Default: the file's name.")
     title: str = ""
-    mesh: MeshSpec
-    material: tuple[MaterialSpec, ...] = Field(min_length=1)
+    ring: RingSpec | None = None
+    coils: CoilsSpec | None = Field(
+        default=None, description="Of a ring; without the table, the paper's."
+    )
+    actuation: ActuationSpec | None = Field(
+        default=None, description="Of a ring; without it no coil is ever on."
+    )
+    mesh: MeshSpec | None = Field(
+        default=None, validate_default=True, description="Of every case but a ring's."
+    )
+    material: tuple[MaterialSpec, ...] = Field(default=(), validate_default=True)
     gravity: GravitySpec | None = None
     mass: tuple[MassSpec, ...] = ()
     support: tuple[SupportSpec, ...] = ()
@@ -492,7 +509,32 @@ class Case(Table):
     rigid: tuple[RigidSpec, ...] = ()
     bond: tuple[BondSpec, ...] = ()
     search: SearchSpec | None = None
+    sweep: SweepSpec | None = None
     resolved: ResolvedSpec | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_ring_has_coils(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "ring" in data and "coils" not in data:
+            return {**data, "coils": {}}
+        return data
+
+    @field_validator("mesh", mode="after")
+    @classmethod
+    def _meshed(cls, value: MeshSpec | None, info: ValidationInfo) -> MeshSpec | None:
+        if value is None and _no_ring(info):
+            raise PydanticKnownError("missing")
+        return value
+
+    @field_validator("material", mode="before")
+    @classmethod
+    def _made_of_something(cls, value: Any, info: ValidationInfo) -> Any:
+        if value == () and _no_ring(info):
+            raise PydanticKnownError("missing")
+        if value == [] and _no_ring(info):
+            counts = {"field_type": "Tuple", "min_length": 1, "actual_length": 0}
+            raise PydanticKnownError("too_short", counts)
+        return value
 
     @property
     def load_names(self) -> list[str]:
@@ -520,7 +562,7 @@ class Case(Table):
             double = sorted({name for name in listed if listed.count(name) > 1})
             if double:
                 raise ValueError(f"{what} names must differ; used twice: {', '.join(double)}")
-        if not names:
+        if not names and self.ring is None:
             raise ValueError(
                 "nothing loads the body: add gravity, pressure, force, traction or displacement"
             )
@@ -531,6 +573,7 @@ class Case(Table):
                         f'step "{step.name}" names the load "{name}"; '
                         f"the loads here are {', '.join(names)}"
                     )
+        self._ring_agrees()
         self._motion_agrees()
         used = {name for step in self.step for name in step.loads}
         idle = [name for name in names if self.step and name not in used]
@@ -540,6 +583,66 @@ class Case(Table):
             )
         return self
 
+    def _ring_agrees(self) -> None:
+        """A ring is a body of its own, without mesh; only it has coils."""
+        if self.ring is None:
+            stray = [key for key in ("coils", "actuation") if getattr(self, key) is not None]
+            if self.search is not None and self.search.patterns:
+                stray.append("search.patterns")
+            if stray:
+                raise ValueError(f"only a case with [ring] has {', '.join(stray)}")
+            return
+        if self.dynamics is None:
+            raise ValueError("a case with [ring] moves: it needs [dynamics] with a duration")
+        solid = {
+            "mesh": self.mesh,
+            "material": self.material,
+            "start": self.start,
+            "mass": self.mass,
+            "support": self.support,
+            "pressure": self.pressure,
+            "rigid": self.rigid,
+            "bond": self.bond,
+            "probe": self.probe,
+            **{
+                f'contact of type "{c.type}"': c
+                for c in self.contact
+                if c.type not in ("ground", "plane", "weight")
+            },
+        }
+        stray = [name for name, value in solid.items() if value]
+        if stray:
+            raise ValueError(
+                f"a case with [ring] cannot have {', '.join(stray)}: a ring has its own body, and "
+                "touches the ground only"
+            )
+        for contact in self.contact:
+            if contact.type == "ground" and contact.surface != (SHELL,):
+                raise ValueError(
+                    f'a ring touches the ground with its surface "{SHELL}", '
+                    f"got {', '.join(contact.surface)}"
+                )
+        self._actuation_agrees()
+
+    def _actuation_agrees(self) -> None:
+        """The coils can be switched as written, in rows and motion as long as they are."""
+        assert self.ring is not None and self.dynamics is not None
+        actuation, dynamics = self.actuation, self.dynamics
+        patterns = self.search.patterns if self.search is not None else ()
+        if patterns and (actuation is None or actuation.pattern is None):
+            raise ValueError("search.patterns: needs [actuation] with a pattern to replace")
+        if actuation is None:
+            return
+        actuation.commands(dynamics.duration)
+        if actuation.interval is not None and actuation.interval < dynamics.interval:
+            raise ValueError(
+                f"actuation.interval: must not be shorter than dynamics.interval, "
+                f"{dynamics.interval:g} s, or rows miss steps of the pattern; got "
+                f"{actuation.interval:g} s"
+            )
+        if actuation.rings != (1,) and self.ring.shape != "sphere":
+            raise ValueError('actuation.rings: belongs to a ring of shape = "sphere"')
+
     def _motion_agrees(self) -> None:
         """What belongs to a motion stands in a case with [dynamics], and nothing else does."""
         if self.dynamics is None:
@@ -548,6 +651,7 @@ class Case(Table):
                 "rigid": self.rigid,
                 "bond": self.bond,
                 "search": self.search,
+                "sweep": self.sweep,
                 'contact of type "ground"': [c for c in self.contact if c.type == "ground"],
                 **{
                     f"{key} of a contact between faces": [
@@ -567,6 +671,8 @@ class Case(Table):
             if stray:
                 raise ValueError(f"only a case with [dynamics] has {', '.join(stray)}")
             return
+        if self.search is not None and self.sweep is not None:
+            raise ValueError("search and sweep: a case has one of them")
         still = {
             "step": self.step,
             "displacement": self.displacement,

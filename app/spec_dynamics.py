@@ -193,8 +193,13 @@ class PumpSpec(Table):
 
 
 class SearchSpec(Table):
-    """The value of one key at which the body begins to move away, by bisection."""
+    """The value of one key at which the body begins to move away, or no longer climbs."""
 
+    goal: Literal["threshold", "climb"] = Field(
+        default="threshold",
+        description="threshold: the value at which a body at rest begins to move away. climb: the "
+        "case is run as it is, and then the highest value is sought at which it still climbs.",
+    )
     key: str = Field(
         description="As --set writes it, for example contact.0.slope: of contact, gravity or "
         "dynamics, since the start shape is computed once."
@@ -209,11 +214,21 @@ class SearchSpec(Table):
             )
         return value
 
-    low: str = Field(description="A value, with its unit, at which it stays.")
-    high: str = Field(description="A value at which it goes.")
+    low: str = Field(description="A value, with its unit, at which it stays; or climbs.")
+    high: str = Field(description="A value at which it goes; or does not climb.")
     tolerance: str = Field(description="Width at which the search ends.")
     distance: PositiveLength = Field(
-        description="Horizontal way of the body's centre after which it counts as gone."
+        description="Horizontal way of the body's centre after which it counts as gone; of a "
+        "climb, its way uphill (towards -x) by the end of the duration."
+    )
+    patterns: tuple[str, ...] = Field(
+        default=(),
+        description="Of a climb: patterns of the coils that are searched too, beside the case's "
+        "own; results as steepest_slope_by_pattern.",
+    )
+    jobs: Annotated[int, Field(ge=1, le=1024)] | None = Field(
+        default=None,
+        description="Of a climb: trials at a time (default: as many as the machine has cores).",
     )
     rest_speed: Speed = Field(
         default=default_text("1 mm/s"),
@@ -225,7 +240,23 @@ class SearchSpec(Table):
         description="Of a key of gravity: time in which a trial's value is eased on, from the "
         "value at which the body rested last.",
     )
-    result: str = Field(default="threshold_deg", description="Name in summary.json.")
+    result: str = Field(
+        default="threshold_deg",
+        description="Name in summary.json; of a climb, steepest_slope_deg by default.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _climbs_have_their_name(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("goal") == "climb" and "result" not in data:
+            return {**data, "result": "steepest_slope_deg"}
+        return data
+
+    @model_validator(mode="after")
+    def _of_a_climb(self) -> SearchSpec:
+        if self.goal != "climb" and (self.patterns or self.jobs is not None):
+            raise ValueError('patterns and jobs belong to goal = "climb"')
+        return self
 
 
 class ProbeTrackSpec(Table):

@@ -38,6 +38,9 @@ _EXAMPLES: dict[str, tuple[str, str]] = {
     "rad": ("angle", "30 deg"),
     "N": ("force", "1.5 N"),
     "N/m": ("stiffness", "97 N/mm"),
+    "N s/m": ("damping coefficient", "0.1 N s/m"),
+    "N m/rad": ("bending stiffness", "1.5 N mm/rad"),
+    "N/s": ("rate of a force", "150 mN/s"),
     "m/s": ("velocity", "1 mm/s"),
     "m^2": ("area", "24 mm^2"),
     "m^3": ("volume", "2 ml"),
@@ -238,6 +241,13 @@ BondStiffness = Annotated[float, Quantity("stiffness per area", "Pa/m", "0.2 GPa
 ContactStiffness = Annotated[
     float, Quantity("contact stiffness", "N/m^1.5", "97 N/mm^1.5", positive=True)
 ]
+SpringStiffness = Annotated[float, Quantity("stiffness", "N/m", "500 N/m", positive=True)]
+LineDamping = Annotated[float, Quantity("damping coefficient", "N s/m", "0.1 N s/m")]
+BendStiffness = Annotated[
+    float, Quantity("bending stiffness", "N m/rad", "0.0015 N m/rad", positive=True)
+]
+PositiveForce = Annotated[float, Quantity("force", "N", "150 mN", positive=True)]
+ForceRate = Annotated[float, Quantity("rate of a force", "N/s", "150 mN/s", positive=True)]
 
 
 def read_quantities(texts: Any, unit: str, where: str | None = None) -> np.ndarray:
