@@ -13,8 +13,9 @@ import numpy as np
 from flexapod.contact import ground_kernels, kernels, law_kernels, track_kernels
 from flexapod.contact.ground import Ground
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.core.errors import SolverError, Status
+from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.dynamics import kernels as dynamics_kernels
+from flexapod.dynamics.line_kernels import GroundArrays
 from flexapod.fem.contacts import surface_passes
 
 History = dict[str, np.ndarray]
@@ -118,6 +119,9 @@ class GroundContact:
         Height [m] above the ground up to which faces are watched.
     deepest
         Penetration [m] at which the body counts as fallen through the ground.
+    areas
+        Of the contact points [m2], shape (face_count, 4); None takes the faces' own. A line has
+        faces (a, b, b, a) without an area: it gets its length times its width.
     """
 
     def __init__(
@@ -129,6 +133,7 @@ class GroundContact:
         law: ContactLaw,
         skin: float = 5e-3,
         deepest: float = 5e-3,
+        areas: np.ndarray | None = None,
     ) -> None:
         self.name = name
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
@@ -138,8 +143,11 @@ class GroundContact:
         self.deepest = deepest
         self._kind, self._params, self._heights = ground.packed()
         count = (self.faces.shape[0], kernels.POINTS.shape[0])
-        self.areas = np.empty(count)
-        kernels.point_areas(nodes, self.faces, kernels.POINTS, self.areas)
+        if areas is not None and areas.shape != count:
+            raise InputError(f"{name}: areas of contact points must have the shape {count}")
+        self.areas = np.empty(count) if areas is None else np.array(areas, dtype=float)
+        if areas is None:
+            kernels.point_areas(nodes, self.faces, kernels.POINTS, self.areas)
         self.pressure = np.zeros(count)
         self.shear = np.zeros(count)
         self.totals = np.zeros(TOTALS)
@@ -218,15 +226,56 @@ class GroundContact:
         self.pressure = history["pressure"]
         history["depth"][0] = self.totals[DEPTH]
         if self.totals[DEPTH] > self.deepest:
-            depths = gaps(self.ground, x[self.faces.ravel()])
-            at = int(depths.argmin()) // 4
-            place = x[self.faces[at]].mean(axis=0)
-            raise SolverError(
-                Status.FELL_THROUGH,
-                f"{self.name}: the face of nodes {self.faces[at].tolist()} at ({place[0]:.4g}, "
-                f"{place[1]:.4g}, {place[2]:.4g}) m is {-1e3 * depths.min():.3g} mm deep in the "
-                "ground",
-            )
+            self.look_for_fall(x)
+
+    def look_for_fall(self, x: np.ndarray, time: float | None = None) -> None:
+        """Raise SolverError with the deepest face where one has fallen through the ground."""
+        depths = gaps(self.ground, x[self.faces.ravel()])
+        at = int(depths.argmin()) // 4
+        if -depths.min() <= self.deepest:
+            return
+        place = x[self.faces[at]].mean(axis=0)
+        when = "" if time is None else f"at {time:.6g} s "
+        raise SolverError(
+            Status.FELL_THROUGH,
+            f"{when}{self.name}: the face of nodes {self.faces[at].tolist()} at ({place[0]:.4g}, "
+            f"{place[1]:.4g}, {place[2]:.4g}) m is {-1e3 * depths.min():.3g} mm deep in the "
+            "ground",
+        )
+
+    def packed(self, history: History) -> GroundArrays:
+        """For the kernel that walks through many steps; arrays are shared."""
+        law, friction = self.law, self.ground.friction
+        return GroundArrays(
+            self.faces,
+            self.areas,
+            self._kind,
+            self._params,
+            self._heights,
+            (
+                law.traction_coefficient,
+                law.stiffness_exponent,
+                law.damping_coefficient,
+                law.damping_exponent,
+                law.indentation_exponent,
+                friction.static,
+                friction.dynamic,
+                friction.static_speed,
+                friction.dynamic_speed,
+                law.stick_stiffness,
+            ),
+            self.skin,
+            self.deepest,
+            history["anchor"],
+            history["active"],
+            history["count"],
+            history["way"],
+            history["depth"],
+            history["spent"],
+            history["pressure"],
+            self.shear,
+            self.totals,
+        )
 
     def add_rates(
         self,

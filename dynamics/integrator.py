@@ -14,8 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexapod.core.errors import InputError, SolverError, Status, check_positive
-from flexapod.dynamics import kernels, rigid_kernels
-from flexapod.dynamics.contacts import DEPTH, ENERGY, RATE_MARGIN, STICK, account
+from flexapod.dynamics import kernels, line_kernels, rigid_kernels
+from flexapod.dynamics.contacts import (
+    DEPTH,
+    ENERGY,
+    RATE_MARGIN,
+    STICK,
+    GroundContact,
+    account,
+)
+from flexapod.dynamics.line_kernels import GroundArrays, NodeArrays
+from flexapod.dynamics.lines import pack_history
 from flexapod.dynamics.model import Model, State
 from flexapod.fem import kernels as fem_kernels
 
@@ -41,11 +50,16 @@ class Energies:
     viscous_loss: float
     bond_loss: float
     start: float
+    lines: float = 0.0
+    line_loss: float = 0.0
+    coil_work: float = 0.0
 
     @property
     def stored(self) -> float:
         """Kinetic and potential energy."""
-        return self.kinetic + self.strain + self.weight + self.contact + self.bond
+        return (
+            self.kinetic + self.strain + self.weight + self.contact + self.bond + self.lines
+        )
 
     @property
     def unaccounted(self) -> float:
@@ -56,8 +70,9 @@ class Energies:
             + self.internal_loss
             + self.viscous_loss
             + self.bond_loss
+            + self.line_loss
         )
-        return self.stored - self.start - self.pressure_work + losses
+        return self.stored - self.start - self.pressure_work - self.coil_work + losses
 
 
 class Workspace:
@@ -82,6 +97,7 @@ class Workspace:
         self.chamber_volume = np.zeros(len(model.chambers))
         self.bond_totals = np.zeros((len(model.bonds), 5))
         self.strain_energy = 0.0
+        self.line_energy = 0.0
         self.kinetic = 0.0
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)
@@ -142,6 +158,10 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
                 part = 2.0 * bond.stiffness * work.inverse_mass[nodes]
                 np.add.at(work.springs, nodes, part)
                 np.add.at(work.dashpots, nodes, bond.damping * part)
+    if model.lines is not None:
+        model.lines.add_rates(
+            model.nodes, state.lines, work.inverse_mass, work.springs, work.dashpots
+        )
     half = 0.5 * work.dashpots
     square = float(((half + np.sqrt(half * half + work.springs)) ** 2).max(initial=0.0))
     if model.internal is not None:
@@ -268,6 +288,10 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
             contact.add_forces(state.x, state.v, history, work.elastic, work.dissipative)
         except SolverError as error:
             raise SolverError(error.status, f"at {state.time:.6g} s {error.text}") from None
+    if model.lines is not None:
+        work.line_energy = model.lines.add_forces(
+            state.x, state.v, state.time, state.dt_before, state.lines, work.elastic
+        )
     for k, bond in enumerate(model.bonds):
         if not state.whole[k]:
             work.bond_totals[k] = 0.0
@@ -433,6 +457,7 @@ def drift(model: Model, state: State, work: Workspace, dt: float) -> None:
 def last_record(model: Model, state: State, work: Workspace, record: Callable[[], None]) -> None:
     """Call `record` with forces and energies at the state's own time; the state stays as it is."""
     held = [{key: value.copy() for key, value in h.items()} for h in state.histories]
+    lines = {key: value.copy() for key, value in state.lines.items()}
     viscous = None if model.viscous is None else model.viscous.history()
     kept = {n: getattr(state, n).copy() for n in ("v", "rigid_v", "rigid_l", "works", "whole")}
     evaluate(model, state, work)
@@ -446,6 +471,7 @@ def last_record(model: Model, state: State, work: Workspace, record: Callable[[]
         setattr(state, name, value)
     place_owned(model, state)
     state.histories = held
+    state.lines = lines
     if model.viscous is not None and viscous is not None:
         model.viscous.restore(viscous)
 
@@ -523,6 +549,9 @@ def energies(model: Model, state: State, work: Workspace) -> Energies:
         viscous_loss=-float(state.works[VISCOUS]),
         bond_loss=float(state.works[BROKEN]),
         start=state.energy_start,
+        lines=work.line_energy,
+        line_loss=float(state.lines["spent"][line_kernels.LOSS]) if state.lines else 0.0,
+        coil_work=float(state.lines["spent"][line_kernels.COIL_WORK]) if state.lines else 0.0,
     )
 
 
@@ -573,6 +602,7 @@ def march(
         the state is left as it was found.
     """
     stats = RunStats() if stats is None else stats
+    fast = _LineMarch(model, state, work) if _LineMarch.serves(model) else None
     while state.interval < intervals:
         begin = state.interval * options.interval
         left, first = options.interval, record
@@ -585,16 +615,26 @@ def march(
             stats.estimates += 1
             stats.smallest_step = min(stats.smallest_step, dt)
             stats.largest_step = max(stats.largest_step, dt)
-            for k in range(count):
-                state.time = begin + k * dt
+            done = 0
+            while done < count:
+                state.time = begin + done * dt
                 step(model, state, work, dt, _bound(first, state))
                 first = None
-                stats.steps += 1
+                done += 1
                 depths = [float(c.totals[DEPTH]) for c in model.contacts]
                 stats.deepest = max([stats.deepest, *depths])
-                if k < count - 1 and any(d > a for d, a in zip(depths, allowed, strict=True)):
+                deeper = any(d > a for d, a in zip(depths, allowed, strict=True))
+                if deeper and done < count:
                     break
-            done = k + 1
+                if fast is not None and done < count:
+                    walked, deepest, deeper = fast.march(
+                        begin + done * dt, dt, count - done, allowed
+                    )
+                    done += walked
+                    stats.deepest = max(stats.deepest, deepest)
+                    if deeper:
+                        break
+            stats.steps += done
             begin += done * dt
             left = left - done * dt if done < count else 0.0
         state.interval += 1
@@ -602,6 +642,100 @@ def march(
         if interval_done is not None:
             interval_done(state)
     return stats
+
+
+class _LineMarch:
+    """Many steps in one call, for a model of line elements with one ground at most."""
+
+    def __init__(self, model: Model, state: State, work: Workspace) -> None:
+        assert model.lines is not None
+        self.model, self.state, self.work = model, state, work
+        self.nodes = NodeArrays(
+            model.nodes,
+            model.mass,
+            model.own_mass,
+            model.owner,
+            model.fixed,
+            state.u,
+            state.x,
+            state.v,
+            work.elastic,
+            work.dissipative,
+            work.viscous,
+            work.total,
+            work.parts,
+        )
+        self.out = np.zeros(3)
+        contact = model.contacts[0] if model.contacts else None
+        self.contact = contact if isinstance(contact, GroundContact) else None
+        self.ground = self._ground()
+
+    @staticmethod
+    def serves(model: Model) -> bool:
+        """Whether nothing but line elements and one ground acts."""
+        if model.lines is None or model.body is not None or model.rigid.names:
+            return False
+        if model.chambers or model.bonds or len(model.contacts) > 1:
+            return False
+        return all(isinstance(contact, GroundContact) for contact in model.contacts)
+
+    def _ground(self) -> GroundArrays:
+        if self.contact is None:
+            none, nobody = np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
+            return GroundArrays(
+                np.zeros((0, 4), dtype=np.int64), none, 0, np.zeros(8), np.zeros((2, 2)),
+                (0.0,) * 10, 0.0, 0.0, np.zeros((0, 4, 3)), nobody, nobody, np.zeros(1),
+                np.zeros(1), np.zeros(3), none, none, np.zeros(14),
+            )  # fmt: skip
+        return self.contact.packed(self.state.histories[0])
+
+    def march(
+        self, begin: float, dt: float, count: int, allowed: list[float]
+    ) -> tuple[int, float, bool]:
+        """Steps done of `count`, the deepest point met [m], and whether it was too deep to go on.
+
+        None done leaves it to a single step to say what is wrong.
+        """
+        model, state, work = self.model, self.state, self.work
+        lines = model.lines
+        assert lines is not None
+        end = line_kernels.march(
+            begin,
+            dt,
+            count,
+            state.dt_before,
+            state.travel,
+            model.gravity,
+            model.damping.mass,
+            allowed[0] if allowed else math.inf,
+            self.nodes,
+            lines.arrays,
+            lines.coil_arrays,
+            lines.hinge_arrays,
+            pack_history(state.lines),
+            lines.active_before,
+            self.ground,
+            state.works,
+            work.sums,
+            self.out,
+        )
+        done = int(self.out[0])
+        if done:
+            state.dt_before = dt
+        state.travel = float(self.out[1])
+        state.step_count += done
+        if end == line_kernels.TROUBLE:
+            _name_trouble(model, state, begin + done * dt)
+        return done, float(self.out[2]), end == line_kernels.DEEPER
+
+
+def _name_trouble(model: Model, state: State, time: float) -> None:
+    """Say what a step of line elements failed of; the kernel only knows that it did."""
+    state.time = time
+    for contact in model.contacts:
+        if isinstance(contact, GroundContact):
+            contact.look_for_fall(state.x, time)
+    raise SolverError(Status.NOT_FINITE, _name_not_finite(model, state))
 
 
 def _bound(record: Callable[[State], None] | None, state: State) -> Callable[[], None] | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from flexapod.contact.face_kernels import POINTS, area_vector, shape, shape_derivatives
 from flexapod.contact.ground_kernels import gap_and_normal
-from flexapod.core.jit import kernel, parallel_kernel
+from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 
 # Sums over nodes run in this many fixed parts, added in order: the same bits for any number of
 # threads.
@@ -64,6 +64,82 @@ def gather_faces(face_force: Any, nodes: Any, start: Any, entry: Any, out: Any) 
         out[nodes[k], 2] = f2
 
 
+@inline_kernel
+def kick_part(
+    part: int,
+    h: float,
+    damping: float,
+    gravity: Any,
+    mass: Any,
+    heavy: Any,
+    owner: Any,
+    fixed: Any,
+    internal: Any,
+    pressure: Any,
+    elastic: Any,
+    dissipative: Any,
+    viscous: Any,
+    v: Any,
+    total: Any,
+    parts: Any,
+) -> None:
+    """`kick` of one of the PARTS of the nodes."""
+    count = v.shape[0]
+    kinetic = 0.0
+    work_internal = 0.0
+    work_pressure = 0.0
+    work_dissipative = 0.0
+    work_damping = 0.0
+    work_viscous = 0.0
+    fastest = 0.0
+    for node in range(part * count // PARTS, (part + 1) * count // PARTS):
+        if owner[node] >= 0:
+            for i in range(3):
+                total[node, i] = (
+                    pressure[node, i]
+                    + elastic[node, i]
+                    + dissipative[node, i]
+                    - internal[node, i]
+                    - viscous[node, i]
+                )
+            continue
+        m = mass[node]
+        r = h / m
+        speed = 0.0
+        for i in range(3):
+            if fixed[node, i]:
+                v[node, i] = 0.0
+                continue
+            f = (
+                pressure[node, i]
+                + elastic[node, i]
+                + dissipative[node, i]
+                - internal[node, i]
+                - viscous[node, i]
+                + heavy[node] * gravity[i]
+            )
+            before = v[node, i]
+            after = ((1.0 - 0.5 * damping * h) * before + r * f) / (1.0 + 0.5 * damping * h)
+            v[node, i] = after
+            mean = 0.5 * (before + after)
+            way = h * mean
+            kinetic += 0.5 * m * mean * mean
+            work_internal -= internal[node, i] * way
+            work_pressure += pressure[node, i] * way
+            work_dissipative += dissipative[node, i] * way
+            work_damping -= damping * m * mean * way
+            work_viscous -= viscous[node, i] * way
+            speed += after * after
+        fastest = max(fastest, speed)
+    parts[part, 0] = kinetic
+    parts[part, 1] = work_internal
+    parts[part, 2] = work_pressure
+    parts[part, 3] = work_dissipative
+    parts[part, 4] = work_damping
+    parts[part, 5] = work_viscous
+    parts[part, 6] = fastest
+
+
 @parallel_kernel
 def kick(
     h: float,
@@ -91,61 +167,25 @@ def kick(
     mean velocity [J], the work [J] of the internal forces (as forces on the nodes), of pressure,
     of `dissipative`, of the mass damping and of `viscous`, and the largest squared speed [m2/s2].
     """
-    count = v.shape[0]
     for part in numba.prange(PARTS):
-        kinetic = 0.0
-        work_internal = 0.0
-        work_pressure = 0.0
-        work_dissipative = 0.0
-        work_damping = 0.0
-        work_viscous = 0.0
-        fastest = 0.0
-        for node in range(part * count // PARTS, (part + 1) * count // PARTS):
-            if owner[node] >= 0:
-                for i in range(3):
-                    total[node, i] = (
-                        pressure[node, i]
-                        + elastic[node, i]
-                        + dissipative[node, i]
-                        - internal[node, i]
-                        - viscous[node, i]
-                    )
-                continue
-            m = mass[node]
-            r = h / m
-            speed = 0.0
-            for i in range(3):
-                if fixed[node, i]:
-                    v[node, i] = 0.0
-                    continue
-                f = (
-                    pressure[node, i]
-                    + elastic[node, i]
-                    + dissipative[node, i]
-                    - internal[node, i]
-                    - viscous[node, i]
-                    + heavy[node] * gravity[i]
-                )
-                before = v[node, i]
-                after = ((1.0 - 0.5 * damping * h) * before + r * f) / (1.0 + 0.5 * damping * h)
-                v[node, i] = after
-                mean = 0.5 * (before + after)
-                way = h * mean
-                kinetic += 0.5 * m * mean * mean
-                work_internal -= internal[node, i] * way
-                work_pressure += pressure[node, i] * way
-                work_dissipative += dissipative[node, i] * way
-                work_damping -= damping * m * mean * way
-                work_viscous -= viscous[node, i] * way
-                speed += after * after
-            fastest = max(fastest, speed)
-        parts[part, 0] = kinetic
-        parts[part, 1] = work_internal
-        parts[part, 2] = work_pressure
-        parts[part, 3] = work_dissipative
-        parts[part, 4] = work_damping
-        parts[part, 5] = work_viscous
-        parts[part, 6] = fastest
+        kick_part(
+            part,
+            h,
+            damping,
+            gravity,
+            mass,
+            heavy,
+            owner,
+            fixed,
+            internal,
+            pressure,
+            elastic,
+            dissipative,
+            viscous,
+            v,
+            total,
+            parts,
+        )
 
 
 @kernel

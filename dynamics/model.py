@@ -11,6 +11,7 @@ import numpy as np
 from flexapod.core.errors import InputError
 from flexapod.dynamics.commands import Chamber, chamber_names
 from flexapod.dynamics.contacts import DynamicContact, History
+from flexapod.dynamics.lines import LineSystem, Points
 from flexapod.dynamics.rigid import RigidBodies
 from flexapod.fem.body import SolidBody
 from flexapod.fem.loads import Conditions, Displacement
@@ -115,10 +116,14 @@ class Model:
     ----------
     body
         The soft body, or None. Its mesh's nodes come first in the global node array.
+    points
+        Nodes without a body, numbered after the mesh's.
+    lines
+        Line elements, coils and bending curves between nodes; they use global node numbers.
     rigid
         Rigid bodies, with their centres at the start [m], shape (rigid_count, 3).
     rigid_nodes
-        Positions [m] and owners of the surface nodes of rigid bodies, appended after the mesh's.
+        Positions [m] and owners of the surface nodes of rigid bodies, appended after the points.
     tied
         Node numbers of the mesh each rigid body carries, by its name. Cells whose corners all
         belong to one rigid body have no stiffness.
@@ -135,6 +140,8 @@ class Model:
     ----------
     nodes
         All reference positions [m], shape (node_count, 3).
+    rigid_start
+        Number of the first surface node of a rigid body.
     mass
         Lumped mass [kg], shape (node_count,); that of a node with an owner is its share of the
         body it belongs to and serves the stable step only.
@@ -146,6 +153,8 @@ class Model:
         self,
         body: SolidBody | None,
         *,
+        points: Points | None = None,
+        lines: LineSystem | None = None,
         rigid: RigidBodies | None = None,
         rigid_centres: np.ndarray | None = None,
         rigid_nodes: tuple[np.ndarray, np.ndarray] | None = None,
@@ -167,10 +176,15 @@ class Model:
         self.rigid_centres = centres
         extra, extra_owner = rigid_nodes or (np.zeros((0, 3)), np.zeros(0, dtype=np.int32))
         mesh_nodes = body.nodes if body is not None else np.zeros((0, 3))
+        self.points = points or Points(np.zeros((0, 3)), np.zeros(0))
+        self.lines = lines
         self.mesh_node_count = mesh_nodes.shape[0]
-        self.nodes = np.ascontiguousarray(np.concatenate([mesh_nodes, extra]), dtype=float)
+        self.rigid_start = self.mesh_node_count + len(self.points.mass)
+        self.nodes = np.ascontiguousarray(
+            np.concatenate([mesh_nodes, self.points.x, extra]), dtype=float
+        )
         self.owner = np.full(self.nodes.shape[0], -1, dtype=np.int32)
-        self.owner[self.mesh_node_count :] = extra_owner
+        self.owner[self.rigid_start :] = extra_owner
         for name, nodes in (tied or {}).items():
             if name not in self.rigid.names:
                 raise InputError(f"nodes are tied to {name!r}, which is no rigid body")
@@ -186,6 +200,8 @@ class Model:
             self.fixed[: self.mesh_node_count] = Conditions(
                 self.mesh_node_count, displacements
             ).fixed
+        if self.points.fixed is not None:
+            self.fixed[self.mesh_node_count : self.rigid_start] = self.points.fixed
         self.gravity = np.asarray(gravity, dtype=float)
         self.chambers = list(chambers)
         self.contacts = list(contacts)
@@ -210,6 +226,7 @@ class Model:
     def _set_soft(self, carried_mass: np.ndarray | None) -> None:
         body, owner = self.body, self.owner
         self.mass = np.zeros(self.node_count)
+        self.mass[self.mesh_node_count : self.rigid_start] = self.points.mass
         self.soft_cells = np.zeros(0, dtype=np.int64)
         self.internal: InternalForce | None = None
         self.viscous: ViscousForce | None = None
@@ -314,6 +331,8 @@ class Model:
             scratch = np.zeros((self.mesh_node_count, 3))
             self.viscous.force(state.u[: self.mesh_node_count], float("inf"), scratch)
         state.histories = [contact.start(state.x) for contact in self.contacts]
+        if self.lines is not None:
+            state.lines = self.lines.start(state.x)
         return state
 
     def _fit_rigid(self, state: State) -> None:
@@ -384,6 +403,8 @@ class State:
         Which bonds still hold.
     histories
         Of the contacts.
+    lines
+        What line elements remember, see `lines.LineSystem`; empty without.
     interval, dt_before
         Whole control intervals done, and the length of the last step [s].
     """
@@ -399,6 +420,7 @@ class State:
     works: np.ndarray
     whole: np.ndarray
     histories: list[History] = field(default_factory=list)
+    lines: History = field(default_factory=dict)
     interval: int = 0
     step_count: int = 0
     time: float = 0.0
@@ -412,6 +434,8 @@ class State:
         """Make this the start of a motion: at rest, at time zero, with empty ledgers."""
         for history in self.histories:
             history["spent"][:] = 0.0
+        if self.lines:
+            self.lines["spent"][:] = 0.0
         for array in (self.v, self.rigid_v, self.rigid_l, self.works):
             array[:] = 0.0
         self.interval = self.step_count = 0
@@ -424,6 +448,7 @@ class State:
         arrays = {name: getattr(self, name) for name in names}
         for k, history in enumerate(self.histories):
             arrays.update({f"history{k}.{key}": value for key, value in history.items()})
+        arrays.update({f"lines.{key}": value for key, value in self.lines.items()})
         scalars = (
             "interval",
             "step_count",
@@ -441,11 +466,14 @@ class State:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> State:
         """A state as `to_arrays` wrote it."""
         histories: list[History] = [{} for _ in range(int(about["history_count"]))]
+        lines: History = {}
         plain: dict[str, Any] = {k: v for k, v in about.items() if k != "history_count"}
         for name, value in arrays.items():
             if name.startswith("history"):
                 row, key = name.removeprefix("history").split(".", 1)
                 histories[int(row)][key] = np.array(value)
+            elif name.startswith("lines."):
+                lines[name.removeprefix("lines.")] = np.array(value)
             else:
                 plain[name] = np.array(value)
-        return cls(**plain, histories=histories)
+        return cls(**plain, histories=histories, lines=lines)
