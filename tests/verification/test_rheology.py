@@ -121,12 +121,10 @@ def test_a_step_below_the_limit_never_relaxes() -> None:
 
 
 def test_a_ramp_passes_all_regimes_at_their_times() -> None:
-    """From rest at the rate e': stuck, sliding, flowing; b = c/2, c e' = 4 B.
+    """From rest at the rate e' with b = c/2 and c e' = 1.6 B, so b e' = 0.8 B.
 
-    Stuck until ``k e' t = B - b e'`` (negative here: it slides at once, since b e' = 2 B is beyond
-    3/2 B: it flows at once). So a slower ramp, c e' = 1.6 B: b e' = 0.8 B, stuck until
-    ``k e' t = 0.2 B``; sliding from ``k e_v = 0.2 B`` to ``1.5 B - 0.8 B = 0.7 B`` towards B with
-    b/k; then flowing towards ``k e_v = 1.6 B`` with (b + c)/k.
+    Stuck until ``k e_v = B - b e' = 0.2 B``. Sliding towards ``k e_v = B`` with b/k, until
+    ``k e_v = B (1 + b/c) - b e' = 0.7 B``. Then flowing towards ``k e_v = c e'`` with (b + c)/k.
     """
     b = 0.5 * C
     rate = 1.6 * LIMIT / C
