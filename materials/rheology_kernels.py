@@ -111,12 +111,12 @@ def advance(
     flows_from = limit
     if excess == 0:
         flows_from += limit * (damping / flow_damping)
-    if abs(start) <= limit:
-        regime = 0
-    elif abs(start) < flows_from:
-        regime = 1
-    else:
-        regime = 2
+    regime = 2
+    if limit > 0.0:  # else no force is too small
+        if abs(start) <= limit:
+            regime = 0
+        elif abs(start) < flows_from:
+            regime = 1
     if start < 0.0:
         regime = -regime
 
