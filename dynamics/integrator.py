@@ -57,9 +57,7 @@ class Energies:
     @property
     def stored(self) -> float:
         """Kinetic and potential energy."""
-        return (
-            self.kinetic + self.strain + self.weight + self.contact + self.bond + self.lines
-        )
+        return self.kinetic + self.strain + self.weight + self.contact + self.bond + self.lines
 
     @property
     def unaccounted(self) -> float:

@@ -114,9 +114,7 @@ class NodeArrays(NamedTuple):
 
 
 @kernel
-def advance_active(
-    coils: CoilArrays, begin: float, end: float, active: Any, previous: Any
-) -> None:
+def advance_active(coils: CoilArrays, begin: float, end: float, active: Any, previous: Any) -> None:
     """Move the active forces `active` (coil_count,) [N] from time `begin` to `end` [s].
 
     Exact, whatever is switched in between; `previous` receives the forces before.
