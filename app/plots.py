@@ -11,13 +11,20 @@ import json
 import re
 import textwrap
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flexapod.app.outputs import CASE_FILE, COLLECTION_FILE, CURVE_FILE, SUMMARY_FILE, replacing
+from flexapod.app.outputs import (
+    CASE_FILE,
+    COLLECTION_FILE,
+    CURVE_FILE,
+    LINES_COLLECTION_FILE,
+    SUMMARY_FILE,
+    replacing,
+)
 from flexapod.app.plots_skin import (
     Skin,
     SkinReader,
@@ -35,7 +42,7 @@ GREEN, PURPLE = "#2e8b57", "#8e5ea2"
 # The longer first: "speed_m_s" is in m/s, not in s.
 _UNITS = {
     "m_s2": "m/s²", "m_s": "m/s", "kPa": "kPa", "deg": "°", "mm2": "mm²", "ml": "ml", "mm": "mm",
-    "us": "µs", "N": "N", "J": "J", "s": "s",
+    "us": "µs", "mN": "mN", "N": "N", "J": "J", "ms": "ms", "s": "s", "m": "m",
 }  # fmt: skip
 
 # --------------------------------------------------------------------------- reading
@@ -51,11 +58,13 @@ class Results:
     columns: dict[str, np.ndarray]
     fields: tuple[Path, ...]
     times: tuple[float, ...]  # of the fields: steps of a load path, seconds of a motion
+    lines: tuple[Path, ...] = ()  # of shells and coils, at the same times
+    texts: dict[str, tuple[str, ...]] = field(default_factory=dict)  # columns of a sweep
 
     @property
     def moves(self) -> bool:
         """Whether the case is a motion."""
-        return "dynamics" in self.case and "search" not in self.case
+        return "dynamics" in self.case and not {"search", "sweep"} & self.case.keys()
 
 
 def read_results(folder: Path) -> Results:
@@ -66,9 +75,7 @@ def read_results(folder: Path) -> Results:
         case = tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8"))
         with (folder / CURVE_FILE).open(encoding="utf-8", newline="") as stream:
             rows = list(csv.reader(stream))
-        columns = {
-            head: np.array([float(row[i]) for row in rows[1:]]) for i, head in enumerate(rows[0])
-        }
+        columns, texts = _read_columns(rows, with_texts="sweep" in case)
     except FileNotFoundError as error:
         name = Path(error.filename).name
         raise InputError(f"not a results folder: {name} is missing", str(folder)) from None
@@ -76,20 +83,44 @@ def read_results(folder: Path) -> Results:
         raise InputError(f"cannot be read: {error}", str(folder)) from None
     summary_path = folder / SUMMARY_FILE
     summary = json.loads(summary_path.read_text(encoding="utf-8")) if summary_path.is_file() else {}
-    collection = folder / COLLECTION_FILE
-    entries = (
-        re.findall(r'timestep="([^"]+)".*file="([^"]+)"', collection.read_text(encoding="utf-8"))
-        if collection.is_file()
-        else []
+    fields, lines = (
+        _read_collection(folder / name) for name in (COLLECTION_FILE, LINES_COLLECTION_FILE)
     )
     return Results(
         folder,
         case,
         summary,
         columns,
-        tuple(folder / name for _, name in entries),
-        tuple(float(time) for time, _ in entries),
+        tuple(folder / name for _, name in fields),
+        tuple(float(time) for time, _ in fields or lines),
+        tuple(folder / name for _, name in lines),
+        texts,
     )
+
+
+def _read_columns(
+    rows: list[list[str]], with_texts: bool
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
+    """Columns of numbers and, if there may be such, of texts."""
+    columns: dict[str, np.ndarray] = {}
+    texts: dict[str, tuple[str, ...]] = {}
+    for i, head in enumerate(rows[0]):
+        values = [row[i] for row in rows[1:]]
+        try:
+            columns[head] = np.array([float(value) for value in values])
+        except ValueError:
+            if not with_texts:
+                raise
+            texts[head] = tuple(values)
+    return columns, texts
+
+
+def _read_collection(path: Path) -> list[tuple[str, str]]:
+    """Times and files of a collection; none where there is none."""
+    if not path.is_file():
+        return []
+    text = path.read_text(encoding="utf-8")
+    return re.findall(r'timestep="([^"]+)".*file="([^"]+)"', text)
 
 
 def cut_short(results: Results) -> bool:
@@ -346,6 +377,11 @@ def draw_all(folder: Path) -> tuple[list[Path], list[str]]:
         from flexapod.app.plots_motion import draw_motion
 
         return draw_motion(results)
+    if "sweep" in results.case:
+        from flexapod.app.plots_sweep import plot_sweep
+
+        plot_sweep(results, folder / "plots" / "sweep.png")
+        return [folder / "plots" / "sweep.png"], []
     written: list[Path] = []
     notices: list[str] = []
     target = folder / "plots"

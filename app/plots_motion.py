@@ -1,6 +1,6 @@
 """Pictures of a motion, drawn from its results folder: see `draw_motion`.
 
-The curves over time are here, the shapes in `plots_frames`.
+The curves over time are here, the shapes in `plots_frames` and `plots_line_frames`.
 """
 
 from __future__ import annotations
@@ -33,11 +33,18 @@ from flexapod.app.plots_frames import (
     read_frames,
 )
 from flexapod.app.plots_ground import EDGE, draw_ground, ground_profile, read_grounds
+from flexapod.app.plots_line_frames import (
+    plot_line_animation,
+    plot_line_final,
+    plot_line_snapshots,
+    read_line_frames,
+)
 from flexapod.app.plots_skin import renderer
+from flexapod.app.plots_voltage import plot_case_voltage
 from flexapod.contact.ground import Ground
 from flexapod.core.errors import InputError
 
-_COLOURS = (BLUE, RED, GREEN, PURPLE, "#d08a1d", GREY, "#3aa6a6", "#7a5230")
+_COLOURS = (BLUE, RED, GREEN, PURPLE, "#d08a1d", GREY, "#3aa6a6", "#7a5230", "#c2609a")
 
 
 def _tidy(axes: Any) -> None:
@@ -179,7 +186,8 @@ def plot_energy(results: Results, path: Path) -> None:
         n.removesuffix("_J") for n in columns if n.endswith("_loss_J") and not n.startswith(own)
     ]
     lossy = [n for n in losses if np.abs(columns[f"{n}_J"]).max() > 0.0]
-    lost = ", ".join(n.removesuffix("_loss").replace("_", " ") for n in lossy)
+    named = {"line_loss": "shell and coils"}
+    lost = ", ".join(named.get(n, n.removesuffix("_loss").replace("_", " ")) for n in lossy)
     curves = {
         "kinetic": columns["kinetic_J"],
         "weight, since start": since_start("weight"),
@@ -188,6 +196,8 @@ def plot_energy(results: Results, path: Path) -> None:
         "bonds, since start": since_start("bond"),
         "pressure's work": since_start("pressure_work"),
         (f"losses ({lost})" if lost else "losses"): since_start(*losses),
+        "shell and coils, since start": since_start("lines"),
+        "coils' work": since_start("coil_work"),
     }
     unaccounted = columns["unaccounted_J"]
     change = max(float(np.nanmax(np.abs(values))) for values in curves.values())
@@ -207,9 +217,10 @@ def plot_energy(results: Results, path: Path) -> None:
     # As in summary.json: the largest energy that was stored, fallen or put in.
     largest = max(
         float(np.nanmax(columns["strain_J"])),
+        float(np.nanmax(columns.get("lines_J", np.zeros(1)))),
         *(
             float(np.nanmax(np.abs(curves[n])))
-            for n in ("kinetic", "weight, since start", "pressure's work")
+            for n in ("kinetic", "weight, since start", "pressure's work", "coils' work")
         ),
     )
     factor, unit = _scaled(worst)
@@ -302,8 +313,9 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
     """Draw every picture of a motion; the paths, and notices about what fell short.
 
     ``curve.png`` (ways over the ground, speed, turn), ``energy.png`` (the ledger), ``contact.png``
-    (force, area, penetration and losses of each contact), and where fields were written
-    ``snapshots.png`` (a strip), ``final.png`` and ``animation.gif``.
+    (force, area, penetration and losses of each contact), where coils are switched
+    ``voltage.png``, and where fields or lines were written ``snapshots.png`` (a strip),
+    ``final.png`` and ``animation.gif``.
     """
     notices: list[str] = []
     written: list[Path] = []
@@ -321,6 +333,21 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
     if contact_names(results):
         plot_contact(results, target / "contact.png")
         written.append(target / "contact.png")
+    if "actuation" in results.case:
+        plot_case_voltage(results, target / "voltage.png")
+        written.append(target / "voltage.png")
+    lines = read_line_frames(results)
+    if lines is not None:
+        if not lines.plane and (notice := renderer()[1]):
+            notices.append(notice)
+        for name, draw_lines in (
+            ("snapshots.png", plot_line_snapshots),
+            ("final.png", plot_line_final),
+            ("animation.gif", plot_line_animation),
+        ):
+            draw_lines(results, grounds, lines, target / name)
+            written.append(target / name)
+        return written, notices
     frames = read_frames(results)
     if frames is None:
         return written, notices

@@ -112,13 +112,15 @@ class Stage:
             0.5, 1.0 - 0.1 * dpi / total[1], heading, ha="center", va="top", fontsize=11
         )
 
-    def colour_bar(self, limits: tuple[float, float], text: str, colours: str = "viridis") -> None:
+    def colour_bar(
+        self, limits: tuple[float, float], text: str, colours: str = "viridis", axis: str = "x [mm]"
+    ) -> None:
         """Name the axis to the left and the colours to the right, in one row."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
         wide, tall = self.figure.get_size_inches()
-        self.figure.text(0.25 / wide, 0.24 / tall, "x [mm]", fontsize=9, va="center")
+        self.figure.text(0.25 / wide, 0.24 / tall, axis, fontsize=9, va="center")
         axes = self.figure.add_axes(((wide - 2.45) / wide, 0.24 / tall, 2.2 / wide, 0.09 / tall))
         bar = self.figure.colorbar(
             ScalarMappable(Normalize(*limits), colours), cax=axes, orientation="horizontal"
@@ -158,16 +160,17 @@ class Stage:
         image = draw_clear(shown, (frame, low, high, low), pixels, wide, named, lines)
         return image, int(first[0]), int(first[1])
 
-    def place(self, scene: int, image: np.ndarray, column: int, row: int) -> None:
-        """Show a body's image in a scene."""
+    def place(self, scene: int, image: np.ndarray, column: int, row: int) -> Any:
+        """Show a body's image in a scene; what was added to it."""
         axes = self.axes[scene]
         height, width = image.shape[:2]
         edges = np.array([column, column + width]), np.array([row, row + height])
         x, z = (1000.0 * (low + e / self.scale) for low, e in zip(self.low, edges, strict=True))
         window = axes.get_xlim(), axes.get_ylim()
-        axes.imshow(image, extent=(*x, *z), zorder=3, aspect="auto", interpolation="none")
+        shown = axes.imshow(image, extent=(*x, *z), zorder=3, aspect="auto", interpolation="none")
         axes.set_xlim(window[0])
         axes.set_ylim(window[1])
+        return shown
 
 
 def scene_bounds(boxes: np.ndarray, grounds: Sequence[Ground]) -> tuple[np.ndarray, np.ndarray]:
