@@ -269,10 +269,11 @@ def draw_plane(
     wide = look.size * look.dots  # of the robot [pt]
     added: list[Any] = []
     if solid is not None:
+        side = list(1000.0 * _facing(solid)[:, :, ::2])
         added.append(
             axes.add_collection(
                 PolyCollection(
-                    list(1000.0 * _facing(solid)[:, :, ::2]), facecolors="#5d6f87", edgecolors=SHELL,
+                    side, facecolors="#5d6f87", edgecolors=SHELL,
                     lw=min(0.5, 0.003 * wide), zorder=4,
                 ),
                 autolim=False,

@@ -186,8 +186,7 @@ def plot_energy(results: Results, path: Path) -> None:
         n.removesuffix("_J") for n in columns if n.endswith("_loss_J") and not n.startswith(own)
     ]
     lossy = [n for n in losses if np.abs(columns[f"{n}_J"]).max() > 0.0]
-    named = {"line_loss": "shell and coils"}
-    lost = ", ".join(named.get(n, n.removesuffix("_loss").replace("_", " ")) for n in lossy)
+    lost = ", ".join(n.removesuffix("_loss").replace("_", " ") for n in lossy)
     curves = {
         "kinetic": columns["kinetic_J"],
         "weight, since start": since_start("weight"),

@@ -95,7 +95,7 @@ def _state(
 ) -> OutputState:
     row = {"time_s": time, "speed_m_s": 0.1, "turn_deg": 0.0}
     row |= {f"centre_{a}_mm": 1e3 * v for a, v in zip("xyz", x.mean(axis=0), strict=True)}
-    names = ("kinetic", "strain", "weight", "lines", "line_loss", "coil_work", "unaccounted")
+    names = ("kinetic", "strain", "weight", "lines", "rheology_loss", "coil_work", "unaccounted")
     row |= {f"{name}_J": 1e-3 * time * (k + 1) for k, name in enumerate(names)}
     cells = {
         "coil": np.asarray(coil),
@@ -204,24 +204,25 @@ def test_a_new_run_clears_lines_and_their_pictures(tmp_path: Path) -> None:
 
 def test_what_is_wrong_with_a_file_of_lines_is_said(tmp_path: Path) -> None:
     path = _folder(tmp_path / "run", frames=2)
+    results = plots.read_results(path)
     file = path / "fields" / "lines_0001.vtu"
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"lines_0001\.vtu: cannot be read, perhaps it was cut"):
-        plots.draw_all(path)
+        plots_line_frames.read_line_frames(results)
     file.unlink()
     with pytest.raises(InputError, match=r"lines_0001\.vtu: is in lines\.pvd but missing"):
-        plots.draw_all(path)
+        plots_line_frames.read_line_frames(results)
     nodes, lines, _ = _ring()
     meshio.Mesh(
         nodes, [("line", lines)], point_data={"displacement": nodes},
         cell_data={"force": [np.zeros(len(lines))]},
     ).write(file)  # fmt: skip
     with pytest.raises(InputError, match='no cell field "coil"; its fields are: force'):
-        plots.draw_all(path)
+        plots_line_frames.read_line_frames(results)
     meshio.Mesh(nodes, [("vertex", np.array([[0]]))]).write(file)
     with pytest.raises(InputError, match="holds no lines"):
-        plots.draw_all(path)
+        plots_line_frames.read_line_frames(results)
 
 
 # --------------------------------------------------------------------------- parts
@@ -339,6 +340,45 @@ def test_pictures_of_a_sphere(tmp_path: Path) -> None:
     assert {"snapshots.png", "final.png", "animation.gif"} <= {file.name for file in written}
     final = _image(path / "plots" / "final.png")
     assert ((final[:-70, :, 0] > 200) & (final[:-70, :, 2] < 110)).sum() > 100
+
+
+def _hoop() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and hexahedra of a solid shell, two millimetres thick and four wide."""
+    angle = 2.0 * math.pi * np.arange(NODES) / NODES
+    nodes = [
+        [r * math.cos(a), y, RADIUS + r * math.sin(a)]
+        for a in angle for r in (RADIUS - 0.001, RADIUS + 0.001) for y in (-0.002, 0.002)
+    ]  # fmt: skip
+    # Around, across and outwards is a right-handed order, since the angle goes from x to z.
+    cells = []
+    for k in range(NODES):
+        here, there = 4 * k, 4 * ((k + 1) % NODES)
+        cells.append([here, here + 2, here + 3, here + 1, there, there + 2, there + 3, there + 1])
+    return np.array(nodes), np.array(cells)
+
+
+def test_a_solid_shell_is_drawn_from_its_hexahedra(tmp_path: Path) -> None:
+    nodes, lines, coil = _ring()
+    hoop, cells = _hoop()
+    path = _folder(tmp_path / "run", frames=1)
+    folder = ResultsFolder(path)
+    spokes = coil >= 0
+    state = _state(0.0, nodes, lines[spokes], nodes, coil[spokes], coil[spokes] == 1)
+    solid = OutputState(0.0, state.row, np.zeros_like(hoop), lines=state.lines)
+    folder.write_state(hoop, cells, solid)
+    results = plots.read_results(path)
+    frames = plots_line_frames.read_line_frames(results)
+    assert frames is not None and frames.plane and frames.parts.shells == ()
+    skin = frames.solid(0)
+    assert skin is not None
+    # Of the four sides of each hexahedron in sight, one looks towards -y.
+    facing = plots_lines._facing(skin)
+    assert len(facing) == NODES and (facing[:, :, 1] == -0.002).all()
+    target = tmp_path / "final.png"
+    plots_line_frames.plot_line_final(results, [], frames, target)
+    image = _image(target)
+    shell = np.abs(image - [0x5D, 0x6F, 0x87]).max(axis=2) < 12
+    assert shell.sum() > 5000
 
 
 def test_a_ring_at_rest_and_one_frame_can_be_drawn(tmp_path: Path) -> None:
