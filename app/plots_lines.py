@@ -170,15 +170,25 @@ def _trails(lines: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
 
 
 def smooth_curve(points: np.ndarray, pieces: int = 6) -> np.ndarray:
-    """Points on a smooth curve through `points`, closed where the last is the first."""
-    from scipy.interpolate import CubicSpline
+    """Points on a smooth curve through `points`, closed where the last is the first.
 
+    Cubic pieces whose slope at a point is that between its neighbours (E. Catmull, R. Rom, A class
+    of local interpolating splines, Computer Aided Geometric Design, 1974).
+    """
     if len(points) < 4:
         return points
-    at = np.arange(len(points))
-    closed = bool(np.array_equal(points[0], points[-1]))
-    spline = CubicSpline(at, points, bc_type="periodic" if closed else "natural")
-    return np.asarray(spline(np.linspace(0, at[-1], pieces * at[-1] + 1)))
+    slope = np.gradient(points, axis=0)
+    if np.array_equal(points[0], points[-1]):
+        slope[[0, -1]] = 0.5 * (points[1] - points[-2])
+    t = (np.arange(pieces) / pieces)[:, None]
+    # Hermite's polynomials, for the two ends and the two slopes.
+    curve = (
+        (1.0 + 2.0 * t) * (1.0 - t) ** 2 * points[:-1, None]
+        + t * (1.0 - t) ** 2 * slope[:-1, None]
+        + t**2 * (3.0 - 2.0 * t) * points[1:, None]
+        + t**2 * (t - 1.0) * slope[1:, None]
+    )
+    return np.concatenate([curve.reshape(-1, points.shape[1]), points[-1:]])
 
 
 def zigzag(first: np.ndarray, last: np.ndarray, teeth: int, half_width: float) -> np.ndarray:

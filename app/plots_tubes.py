@@ -183,7 +183,7 @@ def draw_ground_strip(
         axes.plot(*line.T, color="white", lw=0.8, zorder=0.8)
         axes.annotate(
             f"{1000.0 * x:g}", line[0], xytext=(0, -3), textcoords="offset points", ha="center",
-            va="top", fontsize=8, color="#4b5563", zorder=5, annotation_clip=True, clip_on=True,
+            va="top", fontsize=8, color="#4b5563", zorder=5, annotation_clip=True,
         )  # fmt: skip
 
 
