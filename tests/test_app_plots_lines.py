@@ -270,7 +270,7 @@ def test_a_smooth_ring_is_a_circle() -> None:
     curve = plots_lines.smooth_curve(nodes[[*range(NODES), 0]], 6)
     r = np.linalg.norm(curve - [0.0, 0.0, RADIUS], axis=1)
     # Slopes are sin(h) instead of h, the angle of a piece. Halfway the curve bulges by
-    # sin(h) sin(h/2) / 4 instead of 1 - cos(h/2): off by 3 h**4 / 128 of the radius, to higher orders.
+    # sin(h) sin(h/2) / 4 instead of 1 - cos(h/2): off by 3 h**4 / 128 of it, to leading order.
     np.testing.assert_allclose(r, RADIUS, rtol=1.05 * 3.0 * (2.0 * math.pi / NODES) ** 4 / 128.0)
     np.testing.assert_allclose(curve[0], curve[-1], atol=1e-15)
 
