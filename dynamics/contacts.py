@@ -15,6 +15,7 @@ from flexapod.contact.ground import Ground
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.dynamics import kernels as dynamics_kernels
+from flexapod.dynamics import line_kernels
 from flexapod.dynamics.line_kernels import GroundArrays
 from flexapod.fem.contacts import surface_passes
 
@@ -122,6 +123,10 @@ class GroundContact:
     areas
         Of the contact points [m2], shape (face_count, 4); None takes the faces' own. A line has
         faces (a, b, b, a) without an area: it gets its length times its width.
+    curve
+        Nodes and weights, both (point_count, 4): what touches is not the nodes but points between
+        them, ``x_p = sum_a weights[p, a] x[nodes[p, a]]``, and `faces` number these points. So a
+        line of few nodes touches as a smooth curve does. None: the nodes themselves.
     """
 
     def __init__(
@@ -134,6 +139,7 @@ class GroundContact:
         skin: float = 5e-3,
         deepest: float = 5e-3,
         areas: np.ndarray | None = None,
+        curve: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.name = name
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
@@ -151,6 +157,21 @@ class GroundContact:
         self.pressure = np.zeros(count)
         self.shear = np.zeros(count)
         self.totals = np.zeros(TOTALS)
+        nodes_of, weights = curve if curve is not None else (np.zeros((0, 4)), np.zeros((0, 4)))
+        self.curve_nodes = np.ascontiguousarray(nodes_of, dtype=np.int64)
+        self.curve_weights = np.ascontiguousarray(weights, dtype=float)
+        # A point may move faster than any of its nodes, by this factor at most.
+        self.reach = float(np.abs(self.curve_weights).sum(axis=1).max(initial=1.0))
+        shape = (len(self.curve_nodes), 3)
+        self._points = tuple(np.zeros(shape) for _ in range(4))  # x, v, elastic, dissipative
+
+    def _at_points(self, values: np.ndarray, which: int) -> np.ndarray:
+        """`values` (node_count, 3) at what touches."""
+        if not len(self.curve_nodes):
+            return values
+        out = self._points[which]
+        line_kernels.curve_points(values, self.curve_nodes, self.curve_weights, out)
+        return out
 
     def start(self, x: np.ndarray) -> History:
         """See `DynamicContact`."""
@@ -170,7 +191,13 @@ class GroundContact:
     def _search(self, x: np.ndarray, history: History) -> None:
         active = history["active"]
         count = ground_kernels.near_faces(
-            x, self.faces, self._kind, self._params, self._heights, self.skin, active
+            self._at_points(x, 0),
+            self.faces,
+            self._kind,
+            self._params,
+            self._heights,
+            self.skin,
+            active,
         )
         history["count"][0] = count
         history["way"][0] = 0.0
@@ -182,7 +209,7 @@ class GroundContact:
 
     def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
         """See `DynamicContact`: a face out of the skin cannot arrive before it has crossed it."""
-        history["way"][0] += travel
+        history["way"][0] += self.reach * travel
         if history["way"][0] > self.skin:
             self._search(x, history)
 
@@ -196,9 +223,15 @@ class GroundContact:
     ) -> None:
         """See `DynamicContact`."""
         law, friction = self.law, self.ground.friction
+        on_nodes = elastic, dissipative
+        curved = len(self.curve_nodes) > 0
+        if curved:
+            elastic, dissipative = self._points[2:]
+            elastic[:] = 0.0
+            dissipative[:] = 0.0
         ground_kernels.ground_contact(
-            x,
-            v,
+            self._at_points(x, 0),
+            self._at_points(v, 1),
             self.faces,
             history["active"][: history["count"][0]],
             kernels.POINTS,
@@ -227,9 +260,13 @@ class GroundContact:
         history["depth"][0] = self.totals[DEPTH]
         if self.totals[DEPTH] > self.deepest:
             self.look_for_fall(x)
+        if curved:
+            for force, out in zip((elastic, dissipative), on_nodes, strict=True):
+                line_kernels.curve_forces(force, self.curve_nodes, self.curve_weights, out)
 
     def look_for_fall(self, x: np.ndarray, time: float | None = None) -> None:
         """Raise SolverError with the deepest face where one has fallen through the ground."""
+        x = self._at_points(x, 0)
         depths = gaps(self.ground, x[self.faces.ravel()])
         at = int(depths.argmin()) // 4
         if -depths.min() <= self.deepest:
@@ -266,6 +303,7 @@ class GroundContact:
             ),
             self.skin,
             self.deepest,
+            self.reach,
             history["anchor"],
             history["active"],
             history["count"],
@@ -275,6 +313,9 @@ class GroundContact:
             history["pressure"],
             self.shear,
             self.totals,
+            self.curve_nodes,
+            self.curve_weights,
+            *self._points,
         )
 
     def add_rates(
@@ -290,6 +331,12 @@ class GroundContact:
         # Damping's part of it is left in: a little careful while points sink in.
         depth = (pressure / law.traction_coefficient) ** (1.0 / law.stiffness_exponent)
         gap = np.where(pressure > 0.0, -depth, np.inf)
+        on_nodes = springs, dashpots
+        curved = len(self.curve_nodes) > 0
+        nodal = inverse_mass
+        if curved:
+            springs, dashpots = np.zeros((2, len(self.curve_nodes)))
+            inverse_mass = np.ones(len(self.curve_nodes))
         track_kernels.contact_rates(
             self.faces,
             history["active"],
@@ -308,6 +355,13 @@ class GroundContact:
             springs,
             dashpots,
         )
+        if curved:
+            # A point's stiffness k between nodes of the weights w: rows |w_a| k sum |w_b|.
+            size = np.abs(self.curve_weights)
+            share = size * size.sum(axis=1, keepdims=True)
+            for rates, out in zip((springs, dashpots), on_nodes, strict=True):
+                part = share * rates[:, None] * nodal[self.curve_nodes]
+                np.add.at(out, self.curve_nodes, part)
 
     def pressing(self) -> float:
         """See `DynamicContact`."""
@@ -319,8 +373,16 @@ class GroundContact:
 
     def nodal_pressure(self, node_count: int) -> np.ndarray:
         """See `DynamicContact`."""
-        total, area = np.zeros(node_count), np.zeros(node_count)
+        count = len(self.curve_nodes) or node_count
+        total, area = np.zeros(count), np.zeros(count)
         kernels.nodal_average(self.faces, kernels.POINTS, self.areas, self.pressure, total, area)
+        if len(self.curve_nodes):
+            # Of each point to the node it is nearest to.
+            nearest = np.take_along_axis(
+                self.curve_nodes, self.curve_weights.argmax(axis=1)[:, None], axis=1
+            )[:, 0]
+            total = np.bincount(nearest, weights=total, minlength=node_count)
+            area = np.bincount(nearest, weights=area, minlength=node_count)
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
 
 

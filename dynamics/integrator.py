@@ -682,8 +682,9 @@ class _LineMarch:
             none, nobody = np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
             return GroundArrays(
                 np.zeros((0, 4), dtype=np.int64), none, 0, np.zeros(8), np.zeros((2, 2)),
-                (0.0,) * 10, 0.0, 0.0, np.zeros((0, 4, 3)), nobody, nobody, np.zeros(1),
+                (0.0,) * 10, 0.0, 0.0, 1.0, np.zeros((0, 4, 3)), nobody, nobody, np.zeros(1),
                 np.zeros(1), np.zeros(3), none, none, np.zeros(14),
+                np.zeros((0, 4), dtype=np.int64), none, *np.zeros((4, 0, 3)),
             )  # fmt: skip
         return self.contact.packed(self.state.histories[0])
 

@@ -84,6 +84,7 @@ class GroundArrays(NamedTuple):
     law: Any
     skin: float
     deepest: float
+    reach: float
     anchor: Any
     active: Any
     count: Any
@@ -93,6 +94,12 @@ class GroundArrays(NamedTuple):
     pressure: Any
     shear: Any
     totals: Any
+    curve_nodes: Any
+    curve_weights: Any
+    curve_x: Any
+    curve_v: Any
+    curve_elastic: Any
+    curve_dissipative: Any
 
 
 class NodeArrays(NamedTuple):
@@ -422,6 +429,27 @@ def line_rates(
 
 
 @kernel
+def curve_points(values: Any, nodes: Any, weights: Any, out: Any) -> None:
+    """Points (point_count, 3) that are sums of `values` at four `nodes` each, by `weights`."""
+    for p in range(nodes.shape[0]):
+        for i in range(3):
+            total = 0.0
+            for a in range(4):
+                total += weights[p, a] * values[nodes[p, a], i]
+            out[p, i] = total
+
+
+@kernel
+def curve_forces(force: Any, nodes: Any, weights: Any, out: Any) -> None:
+    """Add forces on the points of `curve_points` to the nodes: the same work for every motion."""
+    for p in range(nodes.shape[0]):
+        for i in range(3):
+            if force[p, i] != 0.0:
+                for a in range(4):
+                    out[nodes[p, a], i] += weights[p, a] * force[p, i]
+
+
+@kernel
 def march(
     begin: float,
     dt: float,
@@ -454,17 +482,31 @@ def march(
     out[2] = 0.0
     for k in range(count):
         time = begin + k * dt
+        curved = ground.curve_nodes.shape[0] > 0
+        x = nodes.x
+        v = nodes.v
+        elastic = nodes.elastic
+        dissipative = nodes.dissipative
+        if curved:
+            curve_points(nodes.x, ground.curve_nodes, ground.curve_weights, ground.curve_x)
+            curve_points(nodes.v, ground.curve_nodes, ground.curve_weights, ground.curve_v)
+            x = ground.curve_x
+            v = ground.curve_v
+            elastic = ground.curve_elastic
+            dissipative = ground.curve_dissipative
+            elastic[:] = 0.0
+            dissipative[:] = 0.0
         if ground.faces.shape[0] > 0:
-            ground.way[0] += out[1]
+            ground.way[0] += ground.reach * out[1]
             if ground.way[0] > ground.skin:
-                search_ground(nodes.x, ground)
+                search_ground(x, ground)
         nodes.elastic[:] = 0.0
         nodes.dissipative[:] = 0.0
         if ground.faces.shape[0] > 0:
             law = ground.law
             ground_contact(
-                nodes.x,
-                nodes.v,
+                x,
+                v,
                 ground.faces,
                 ground.active[: ground.count[0]],
                 POINTS,
@@ -483,8 +525,8 @@ def march(
                 law[8],
                 law[9],
                 ground.anchor,
-                nodes.elastic,
-                nodes.dissipative,
+                elastic,
+                dissipative,
                 ground.pressure,
                 ground.shear,
                 ground.totals,
@@ -494,6 +536,11 @@ def march(
             out[2] = max(out[2], depth)
             if depth > ground.deepest:
                 return TROUBLE
+            if curved:
+                curve_forces(elastic, ground.curve_nodes, ground.curve_weights, nodes.elastic)
+                curve_forces(
+                    dissipative, ground.curve_nodes, ground.curve_weights, nodes.dissipative
+                )
         advance_active(coils, time - dt_before, time, history.active, active_before)
         line_forces(nodes.x, nodes.v, dt_before, lines, active_before, history, nodes.elastic)
         hinge_forces(nodes.x, dt_before, hinges, history, nodes.elastic)

@@ -171,6 +171,27 @@ def _check_around(name: str, count: int, where: str) -> None:
 
 
 @dataclass(frozen=True)
+class TouchingCurve:
+    """Points of a shell that may touch, and the pieces between them.
+
+    Attributes
+    ----------
+    nodes, weights
+        Point p lies at ``sum_a weights[p, a] x[nodes[p, a]]``; both of shape (point_count, 4).
+    faces
+        One degenerate quadrilateral (a, b, b, a) of points per piece, shape (piece_count, 4): of
+        its four contact points both rows lie on the piece.
+    areas
+        Of each contact point, width x length / 4 [m2], shape (piece_count, 4).
+    """
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    faces: np.ndarray
+    areas: np.ndarray
+
+
+@dataclass(frozen=True)
 class RingLayout:
     """Masses on lines: nodes and what joins them.
 
@@ -211,11 +232,6 @@ class RingLayout:
         rings cross, the two names stand for one and the same pair.
     chords
         Coil "I" ("I1", "I2", "I3"): shell nodes of B and H.
-    faces
-        One degenerate quadrilateral (a, b, b, a) per segment for contact, shape (S, 4). Of the
-        four points of a face both rows lie on the segment.
-    face_areas
-        Area of each of the four contact points, width x length / 4 [m2], shape (S, 4).
     """
 
     sizes: RingSizes
@@ -231,8 +247,52 @@ class RingLayout:
     rest_angle: np.ndarray
     spokes: dict[str, tuple[int, int]]
     chords: dict[str, tuple[int, int]]
-    faces: np.ndarray
-    face_areas: np.ndarray
+
+    def touching(self, refine: int = 4) -> TouchingCurve:
+        """What of the shell touches the ground: a smooth curve through the nodes of each loop.
+
+        Cubic between two nodes, with the slopes of their neighbours' chord (E. Catmull & R. Rom,
+        A class of local interpolating splines, 1974): of a circle of 32 nodes it is off by 4e-5 of
+        the radius. As chords, the ring would be a polygon and had to tip over each of its corners.
+
+        Parameters
+        ----------
+        refine
+            Straight pieces per segment; 1 leaves the chords.
+
+        Raises
+        ------
+        InputError
+            If `refine` is no whole number >= 1.
+        """
+        if refine != int(refine) or refine < 1:
+            raise InputError(f"contact_refine must be a whole number >= 1, got {refine}", "ring")
+        t = np.arange(refine)[:, None] / refine
+        cubic = 0.5 * np.concatenate(
+            [
+                -t + 2 * t**2 - t**3,
+                2 - 5 * t**2 + 3 * t**3,
+                t + 4 * t**2 - 3 * t**3,
+                -(t**2) + t**3,
+            ],
+            axis=1,
+        )
+        nodes, weights, faces, first = [], [], [], 0
+        for loop in self.rings:
+            around = np.stack([np.roll(loop, -k) for k in (-1, 0, 1, 2)], axis=1)
+            nodes.append(np.repeat(around, refine, axis=0))
+            weights.append(np.tile(cubic, (len(loop), 1)))
+            own = first + np.arange(len(loop) * refine)
+            behind = np.roll(own, -1)
+            faces.append(np.stack([own, behind, behind, own], axis=1))
+            first += own.size
+        length = np.repeat(self.segment_length / refine, refine)
+        return TouchingCurve(
+            np.concatenate(nodes),
+            np.concatenate(weights),
+            np.concatenate(faces),
+            np.repeat((0.25 * self.sizes.width * length)[:, None], 4, axis=1),
+        )
 
     def coil_pairs(self) -> tuple[np.ndarray, dict[str, int]]:
         """The pairs of nodes that coils join, each once.
@@ -341,7 +401,6 @@ def _lumped(
     # All segments have the same length: half of each goes to either end.
     mass = np.bincount(segments.ravel(), minlength=hub + 1) * (0.5 * sizes.shell_mass / n)
     mass[hub] = sizes.mass_of_hub
-    faces = segments[:, [0, 1, 1, 0]]
     one, two = CHORD
     return RingLayout(
         sizes=sizes,
@@ -357,8 +416,6 @@ def _lumped(
         rest_angle=np.full(len(segments), rest_curvature * 2.0 * math.pi / n),
         spokes={name: (hub, node) for name, node in spokes.items()},
         chords={f"I{s}": (spokes[one + s], spokes[two + s]) for s in suffixes},
-        faces=np.ascontiguousarray(faces),
-        face_areas=np.repeat((0.25 * sizes.width * length)[:, None], 4, axis=1),
     )
 
 

@@ -78,12 +78,35 @@ def test_lengths_masses_and_areas(n: int) -> None:
         assert layout.node_mass.sum() == pytest.approx(total, rel=ROUND_OFF)
         centre = layout.node_mass @ layout.nodes / total
         np.testing.assert_allclose(centre, [0.0, 0.0, 0.02], atol=1e-17)
-        np.testing.assert_array_equal(layout.faces, np.stack([a, b, b, a], axis=1))
-        assert layout.face_areas.shape == (rings * n, 4)
-        # A polygon's sides are shorter than the circle by sin(x)/x, x = pi/n.
-        area = rings * math.pi * sizes.diameter * sizes.width
-        polygon = math.sin(math.pi / n) / (math.pi / n)
-        assert layout.face_areas.sum() == pytest.approx(area * polygon, rel=ROUND_OFF)
+        for refine in (1, 3):
+            touching = layout.touching(refine)
+            assert touching.areas.shape == (rings * n * refine, 4) == touching.faces.shape
+            # A polygon's sides are shorter than the circle by sin(x)/x, x = pi/n.
+            area = rings * math.pi * sizes.diameter * sizes.width
+            polygon = math.sin(math.pi / n) / (math.pi / n)
+            assert touching.areas.sum() == pytest.approx(area * polygon, rel=ROUND_OFF)
+
+
+def test_what_touches_is_a_smooth_curve_through_the_nodes() -> None:
+    """Catmull-Rom: at half a step h/2 of a circle its radius is 9/8 cos(h/2) - 1/8 cos(3h/2)."""
+    for layout, _ in _layouts(RingSizes(node_count=32)):
+        chords = layout.touching(1)
+        np.testing.assert_array_equal(chords.nodes[:, 1], np.concatenate(layout.rings))
+        np.testing.assert_array_equal(
+            chords.weights, np.tile([0.0, 1.0, 0.0, 0.0], (len(chords.nodes), 1))
+        )
+        curve = layout.touching(2)
+        np.testing.assert_allclose(curve.weights.sum(axis=1), 1.0, rtol=ROUND_OFF)
+        x = np.einsum("pa,pai->pi", curve.weights, layout.nodes[curve.nodes])
+        radius = np.linalg.norm(x - layout.nodes[layout.hub], axis=1)
+        h = 2.0 * math.pi / 32
+        middle = 9.0 / 8.0 * math.cos(h / 2) - math.cos(3 * h / 2) / 8.0
+        np.testing.assert_allclose(radius[0::2], 0.02, rtol=1e-14)
+        np.testing.assert_allclose(radius[1::2], 0.02 * middle, rtol=1e-14)
+        # Pieces follow one another round each loop.
+        assert (np.sort(curve.faces[:, 0]) == np.sort(curve.faces[:, 1])).all()
+        with pytest.raises(InputError, match="contact_refine must be a whole number >= 1, got 0"):
+            layout.touching(0)
 
 
 @pytest.mark.parametrize("n", COUNTS)
