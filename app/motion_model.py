@@ -26,6 +26,7 @@ from flexapod.app.spec_dynamics import StartSpec
 from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
+    from flexapod.app.motion_ring import RingParts
     from flexapod.dynamics.commands import Chamber
     from flexapod.dynamics.contacts import History
     from flexapod.dynamics.integrator import Workspace
@@ -40,8 +41,8 @@ Say = Callable[[str], None]
 class Motion:
     """All a run needs."""
 
-    mesh: TaggedMesh
-    body: SolidBody
+    mesh: TaggedMesh | None  # None for a body of lines alone
+    body: SolidBody | None
     model: Model
     state: State
     work: Workspace
@@ -49,6 +50,14 @@ class Motion:
     mass: float  # of everything [kg], of the modelled part
     shape: Shape  # before it was turned and set down
     rigid: RigidParts
+    ring: RingParts | None = None
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Hexahedra, nodes and line elements."""
+        cells = 0 if self.mesh is None else len(self.mesh.cells)
+        lines = self.model.lines
+        return cells, self.model.rigid_start, 0 if lines is None else len(lines.lines)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +149,10 @@ def assemble_motion(
 
     case, source = loaded.case, loaded.source
     assert case.dynamics is not None
+    if case.ring is not None:
+        from flexapod.app.motion_ring import ring_motion
+
+        return ring_motion(loaded)
     mesh = build_mesh(loaded)
     part = SolidBody(mesh, make_materials(loaded, mesh))
     carried = carried_mass(loaded, mesh, part)
@@ -404,22 +417,34 @@ def _set_down(
 
     `along` are further points [m] that go with it, shape (point_count, 3).
     """
-    from flexapod.dynamics.contacts import gaps
-
     spec = loaded.case.start
     if spec is None:
         return u
     slope = ground_slope(loaded)
-    angle = spec.turn + (slope if spec.rest else 0.0)
-    x = np.concatenate([mesh.nodes + u, along])
+    x = turned(np.concatenate([mesh.nodes + u, along]), spec.turn + (slope if spec.rest else 0.0))
+    if spec.rest:
+        x = put_on_ground(x, ground, slope)
+    return np.asarray(x[: len(mesh.nodes)] - mesh.nodes)
+
+
+def turned(x: np.ndarray, angle: float) -> np.ndarray:
+    """Points [m] turned about the y axis by an angle [rad]."""
+    if angle == 0.0:
+        return x
     c, s = math.cos(angle), math.sin(angle)
     turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    if angle != 0.0:
-        x = x @ turn.T
-    if spec.rest and ground is not None:
-        for _ in range(20):
-            lowest = float(gaps(ground, x).min())
-            if abs(lowest) < 1e-9:
-                break
-            x = x - lowest * np.array([math.sin(slope), 0.0, math.cos(slope)])
-    return np.asarray(x[: len(mesh.nodes)] - mesh.nodes)
+    return np.asarray(x @ turn.T)
+
+
+def put_on_ground(x: np.ndarray, ground: Any, slope: float) -> np.ndarray:
+    """Points [m] moved along the normal of the slope [rad] until the lowest touches the ground."""
+    from flexapod.dynamics.contacts import gaps
+
+    if ground is None:
+        return x
+    for _ in range(20):
+        lowest = float(gaps(ground, x).min())
+        if abs(lowest) < 1e-9:
+            break
+        x = x - lowest * np.array([math.sin(slope), 0.0, math.cos(slope)])
+    return x

@@ -109,6 +109,15 @@ class _Body:
     surface: RigidSurface | None = None
 
 
+def no_rigid(first: int) -> RigidParts:
+    """The parts of a robot without rigid bodies, of so many nodes."""
+    from flexapod.dynamics.rigid import RigidBodies
+
+    none = np.zeros((0, 3))
+    owner = np.zeros(0, dtype=np.int32)
+    return RigidParts(RigidBodies.empty(), none, {}, none, owner, {}, {}, none, none, none, first)
+
+
 def make_rigid(
     loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, carried: np.ndarray, supports: Any
 ) -> RigidParts:
@@ -426,6 +435,7 @@ __all__ = [
     "RigidTracks",
     "contact_surface",
     "make_rigid",
+    "no_rigid",
     "rotation_vector",
     "set_in_motion",
 ]

@@ -311,15 +311,17 @@ def run_search(
         except KeyboardInterrupt:
             status, message = Status.INTERRUPTED, "stopped by the user"
     found = status is Status.DONE
-    mesh = trials.motion.mesh if trials is not None and trials.motion is not None else None
+    size = (0, 0)
+    if trials is not None and trials.motion is not None:
+        size = trials.motion.size[:2]
     summary = {
         "case": loaded.name,
         "title": loaded.case.title,
         "status": status.name.lower(),
         "message": message,
         "version": package_version(),
-        "elements": len(mesh.cells) if mesh is not None else 0,
-        "nodes": len(mesh.nodes) if mesh is not None else 0,
+        "elements": size[0],
+        "nodes": size[1],
         "wall_time_s": time.perf_counter() - began,
         "peak_memory_bytes": peak_memory(),
         "resumed": resume,

@@ -622,6 +622,8 @@ class Case(Table):
                     f'a ring touches the ground with its surface "{SHELL}", '
                     f"got {', '.join(contact.surface)}"
                 )
+        if len(self.contact) > 1:
+            raise ValueError("a ring touches one ground: write one contact")
         self._actuation_agrees()
 
     def _actuation_agrees(self) -> None:

@@ -122,6 +122,11 @@ class RingSpec(Table):
         description="k_bend, of an arc of 45 deg. That arc is assumed: the paper gives no length, "
         "and an eighth of the ring gives its prototype's speed.",
     )
+    contact_refine: Annotated[int, Field(ge=1, le=64)] = Field(
+        default=4,
+        description="Straight pieces per element of the smooth curve that touches the ground; 1 "
+        "takes the elements themselves, a polygon that has to tip over its corners.",
+    )
     out_of_plane_ratio: Annotated[float, Field(gt=0)] = Field(
         default=1.0,
         description="Bending stiffness out of the ring's plane over that in it. Assumed, a round "
@@ -179,6 +184,11 @@ class RingSpec(Table):
                 solid_section(sizes, self.solid.density, self.solid.poisson)
         if self.solid is not None and self.shell != "solid":
             raise ValueError('[ring.solid] belongs to shell = "solid"')
+        if self.shell == "solid":
+            # What a solid has no word for is not passed over.
+            for key, value in (("rest_curvature", 1.0), ("out_of_plane_ratio", 1.0)):
+                if getattr(self, key) != value:
+                    raise ValueError(f'{key} belongs to shell = "elements"')
         if self.shape == "sphere" and self.shell == "solid":
             raise ValueError('a sphere has shell = "elements": its rings cross each other')
         return self
@@ -249,6 +259,13 @@ class ActuationSpec(Table):
         default=None,
         description="Instead of a pattern: for each coil, A to I, pairs of times on and off, for "
         'example { A = [["0 s", "2 s"]] }. Coil I, for jumping, is there where it is named.',
+    )
+    held: Annotated[Time, NotNegative] = Field(
+        default=default_text("0 s"),
+        description="Before the motion begins: time for which the coils of its first step are on "
+        "already while the robot is held, damped and without the part of its weight along the "
+        "ground. A round ring would roll down a slope before a coil pulls; how the paper's robot "
+        "was put there is not said.",
     )
     rings: tuple[Literal[1, 2, 3], ...] = Field(
         default=(1,),
