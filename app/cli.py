@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -209,8 +209,13 @@ def _print_summary(summary: dict[str, Any]) -> None:
 
     console = _answer()
     minutes, seconds = divmod(summary["wall_time_s"], 60.0)
+    size = f"{summary['elements']} hexahedra"
+    if summary.get("lines"):
+        size = f"{summary['lines']} lines" + (f", {size}" if summary["elements"] else "")
+    if "runs" in summary["results"]:
+        size = f"{summary['results']['runs_done']} of {summary['results']['runs']} runs"
     console.print(
-        f"{summary['case']}: {summary['status']}, {summary['elements']} hexahedra, "
+        f"{summary['case']}: {summary['status']}, {size}, "
         f"{minutes:.0f} min {seconds:.0f} s, "
         f"{summary['peak_memory_bytes'] / 1e9:.2f} GB",
         markup=False,
@@ -247,7 +252,21 @@ def _print_summary(summary: dict[str, Any]) -> None:
         for name, value in summary["results"].items():
             if isinstance(value, float) and not name.startswith(("load_", "solve_")):
                 console.print(f"  {name:24} {value:.6g}", markup=False)
+            elif isinstance(value, dict):
+                for words, inner in _flat(value):
+                    shown = f"{inner:.6g}" if isinstance(inner, int | float) else inner or "-"
+                    console.print(f"  {name}: {words:20} {shown}", markup=False, soft_wrap=True)
     console.print(f"results: {summary['folder']}", markup=False, soft_wrap=True)
+
+
+def _flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Entries of nested tables with the keys that lead to them."""
+    for key, value in table.items():
+        words = f"{before}, {key}" if before else str(key)
+        if isinstance(value, dict):
+            yield from _flat(value, words)
+        else:
+            yield words, value
 
 
 def summary_unit(head: str) -> str:

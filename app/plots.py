@@ -64,7 +64,9 @@ class Results:
     @property
     def moves(self) -> bool:
         """Whether the case is a motion."""
-        return "dynamics" in self.case and not {"search", "sweep"} & self.case.keys()
+        search = self.case.get("search")
+        many = "sweep" in self.case or (search is not None and search.get("goal") != "climb")
+        return "dynamics" in self.case and not many
 
 
 def read_results(folder: Path) -> Results:

@@ -21,7 +21,8 @@ COARSE = {
     "free_curl": ["mesh.size=coarse", "mesh.units=2"],
 }
 ROLLING = {"roll_passive", "roll_threshold"}
-MOVING = ROLLING | {"payload_drop"}  # the last is looked at in test_app_rigid
+RINGS = {"ring_crawl", "ring_crawl_sweep", "ring_climb", "ring_jump", "sphere_crawl"}
+MOVING = ROLLING | RINGS | {"payload_drop"}  # the last is looked at in test_app_rigid
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +52,35 @@ def test_everything_a_moving_case_names_exists(name: str) -> None:
     assert motion.mass == pytest.approx(carried + solid, rel=1e-9)
     assert motion.model.rigid.names == ("servo_1", "servo_2", "servo_2_mirrored")
     assert len(motion.model.bonds) == 1
+
+
+@pytest.mark.parametrize("name", sorted(RINGS))
+def test_rings_start_to_move(name: str) -> None:
+    from flexapod.app.motion_model import assemble_motion
+    from flexapod.dynamics.integrator import Options, energies, march
+
+    loaded = load_case(name, ["actuation.held=0 s"])
+    motion = assemble_motion(loaded, None, lambda text: None)
+    march(motion.model, motion.state, motion.work, 2, Options(5e-3))
+    # The ground bears it, and coils pull: D_on t, up to the last step.
+    (ground,) = motion.model.contacts
+    assert ground.pressing() > 0.0
+    assert motion.state.lines["active"].max() == pytest.approx(0.15 * 0.01, rel=0.02)
+    ledger = energies(motion.model, motion.state, motion.work)
+    assert abs(ledger.kinetic) < 1e-4
+    assert ledger.lines > 0.0
+
+
+def test_a_sweep_and_a_climb_say_what_they_try() -> None:
+    from flexapod.app.sweep import combinations
+
+    sweep = load_case("ring_crawl_sweep").case.sweep
+    assert sweep is not None
+    assert len(combinations(sweep)) == 3 * len(sweep.over[1].values)
+    search = load_case("ring_climb").case.search
+    assert search is not None
+    assert search.goal == "climb"
+    assert "BF" in search.patterns
 
 
 @pytest.mark.parametrize("name", sorted(set(shipped_cases()) - MOVING))
