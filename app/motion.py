@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,12 +26,14 @@ from flexapod.app.probes import Probe, make_probes
 from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.integrator import Energies, RunStats
+    from flexapod.dynamics.integrator import Energies
     from flexapod.dynamics.model import State
 
 
 class _Recorder:
     def __init__(self, loaded: LoadedCase, motion: Motion, folder: ResultsFolder) -> None:
+        from flexapod.dynamics.integrator import RunStats
+
         self.loaded = loaded
         self.motion = motion
         self.folder = folder
@@ -49,6 +52,7 @@ class _Recorder:
         count = motion.model.mesh_node_count
         self.sample = np.arange(0, count, max(1, count // 200))
         self.sample_start: np.ndarray | None = None
+        self.stats = RunStats()
 
     def row(self, energies: Energies) -> dict[str, float]:
         """Columns at the state of the last forces."""
@@ -173,6 +177,7 @@ class _Recorder:
             "turn": self.turn,
             "largest_energy": self.largest_energy,
             "weight_start": self.weight_start,
+            "stats": asdict(self.stats),
         }
         if self.motion.model.viscous is not None:
             history = self.motion.model.viscous.history()
@@ -189,6 +194,7 @@ class _Recorder:
 
     def resume(self) -> bool:
         """Take the last checkpoint's state; False where there is none."""
+        from flexapod.dynamics.integrator import Clock, RunStats
         from flexapod.dynamics.model import State
 
         kept = self.folder.read_checkpoint()
@@ -209,6 +215,8 @@ class _Recorder:
         self.turn = extra["turn"]
         self.largest_energy = extra["largest_energy"]
         self.weight_start = extra["weight_start"]
+        kept_stats = extra["stats"]
+        self.stats = RunStats(**{**kept_stats, "clock": Clock(**kept_stats["clock"])})
         numbers = {k: (math.nan if v is None else v) for k, v in about["state"].items()}
         state = State.from_arrays(arrays, numbers)
         if state.u.shape != self.motion.state.u.shape:
@@ -253,7 +261,7 @@ def run_motion(
 ) -> tuple[Status, str, dict[str, Any]]:
     """Run a case with [dynamics]; returns status, message and summary, all files written."""
     from flexapod.app.run import Progress, resolve, terminated_like_interrupted
-    from flexapod.dynamics.integrator import Options, RunStats, march
+    from flexapod.dynamics.integrator import Options, march
 
     began = time.perf_counter()
     spec = loaded.case.dynamics
@@ -280,8 +288,6 @@ def run_motion(
         folder.clear()
     options = Options(spec.interval, spec.safety, spec.time_step)
     status, message = Status.DONE, "reached the end of the motion"
-    stats = RunStats()
-    marched = time.perf_counter()
 
     def done(state: State) -> None:
         row = folder.rows[-1]
@@ -301,14 +307,13 @@ def run_motion(
                 options,
                 recorder.record,
                 done,
-                stats,
+                recorder.stats,
             )
             _last_row(recorder)
         except SolverError as error:
             status, message = error.status, str(error)
         except KeyboardInterrupt:
             status, message = Status.INTERRUPTED, f"stopped at {motion.state.time:.4g} s"
-    marched = time.perf_counter() - marched
     summary = {
         "case": loaded.name,
         "title": loaded.case.title,
@@ -320,7 +325,7 @@ def run_motion(
         "wall_time_s": time.perf_counter() - began,
         "peak_memory_bytes": peak_memory(),
         "resumed": resume,
-        "results": _results(recorder, motion, stats, marched),
+        "results": _results(recorder, motion),
         "reference": None,
         "warnings": notices,
         "folder": str(out),
@@ -357,10 +362,8 @@ def _short_summary(
     }
 
 
-def _results(
-    recorder: _Recorder, motion: Motion, stats: RunStats, marched: float
-) -> dict[str, Any]:
-    rows = recorder.folder.rows
+def _results(recorder: _Recorder, motion: Motion) -> dict[str, Any]:
+    rows, stats = recorder.folder.rows, recorder.stats
     last = rows[-1] if rows else {}
     results: dict[str, Any] = {**last, "states": len(recorder.folder.times)}
     if rows and recorder.centre_start is not None:
@@ -385,7 +388,10 @@ def _results(
     results["smallest_step_us"] = 1e6 * stats.smallest_step if stats.steps else None
     results["largest_step_us"] = 1e6 * stats.largest_step if stats.steps else None
     results["deepest_penetration_mm"] = 1e3 * stats.deepest
+    # Of all sittings, where the run was resumed.
+    marched = stats.clock.total()
     results["motion_time_s"] = marched
     if stats.steps:
         results["element_updates_per_s"] = stats.steps * motion.model.soft_cells.size / marched
+        results["time_share"] = stats.clock.shares()
     return results
