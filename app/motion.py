@@ -13,13 +13,11 @@ import numpy as np
 from flexapod.app.case import LoadedCase, package_version
 from flexapod.app.motion_flight import flight_results
 from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape, uphill
-from flexapod.app.motion_recorder import MotionFolder
-from flexapod.app.motion_recorder import Recorder as _Recorder
+from flexapod.app.motion_recorder import MotionFolder, Recorder
 from flexapod.app.outputs import CHECKPOINT_FILE, peak_memory
 from flexapod.core.errors import SolverError, Status
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.integrator import RunStats
     from flexapod.dynamics.model import State
 
 
@@ -39,7 +37,7 @@ def run_motion(
     whose ``start`` holds the start shape (default: `out`).
     """
     from flexapod.app.run import Progress, resolve, terminated_like_interrupted
-    from flexapod.dynamics.integrator import Options, RunStats, march
+    from flexapod.dynamics.integrator import Options, march
 
     began = time.perf_counter()
     spec = loaded.case.dynamics
@@ -58,7 +56,7 @@ def run_motion(
             summary = _short_summary(loaded, out, began, status, message)
             folder.write_summary(summary)
             return status, message, summary
-    recorder = _Recorder(loaded, motion, folder, lean)
+    recorder = Recorder(loaded, motion, folder, lean)
     cells, nodes, lines = motion.size
     parts = [f"{count} {name}" for count, name in ((cells, "hexahedra"), (lines, "lines")) if count]
     say(f"{', '.join(parts)}, {nodes} nodes")
@@ -68,8 +66,6 @@ def run_motion(
         folder.clear()
     options = Options(spec.interval, spec.safety, spec.time_step)
     status, message = Status.DONE, "reached the end of the motion"
-    stats = RunStats()
-    marched = time.perf_counter()
 
     def done(state: State) -> None:
         row = folder.rows[-1]
@@ -89,14 +85,13 @@ def run_motion(
                 options,
                 recorder.record,
                 done,
-                stats,
+                recorder.stats,
             )
             _last_row(recorder)
         except SolverError as error:
             status, message = error.status, str(error)
         except KeyboardInterrupt:
             status, message = Status.INTERRUPTED, f"stopped at {motion.state.time:.4g} s"
-    marched = time.perf_counter() - marched
     summary = {
         "case": loaded.name,
         "title": loaded.case.title,
@@ -109,7 +104,7 @@ def run_motion(
         "wall_time_s": time.perf_counter() - began,
         "peak_memory_bytes": peak_memory(),
         "resumed": resume,
-        "results": _results(recorder, motion, stats, marched),
+        "results": _results(recorder, motion),
         "reference": None,
         "warnings": notices,
         "folder": str(out),
@@ -121,7 +116,7 @@ def run_motion(
     return status, message, summary
 
 
-def _last_row(recorder: _Recorder) -> None:
+def _last_row(recorder: Recorder) -> None:
     """Forces and energies at the very end, without going on."""
     from flexapod.dynamics.integrator import last_record
 
@@ -149,10 +144,8 @@ def _short_summary(
     }
 
 
-def _results(
-    recorder: _Recorder, motion: Motion, stats: RunStats, marched: float
-) -> dict[str, Any]:
-    rows = recorder.folder.rows
+def _results(recorder: Recorder, motion: Motion) -> dict[str, Any]:
+    rows, stats = recorder.folder.rows, recorder.stats
     last = rows[-1] if rows else {}
     results: dict[str, Any] = {**last, "states": len(recorder.folder.times)}
     if rows and recorder.centre_start is not None:
@@ -181,7 +174,11 @@ def _results(
     results["smallest_step_us"] = 1e6 * stats.smallest_step if stats.steps else None
     results["largest_step_us"] = 1e6 * stats.largest_step if stats.steps else None
     results["deepest_penetration_mm"] = 1e3 * stats.deepest
+    # Of all sittings, where the run was resumed.
+    marched = stats.clock.total()
     results["motion_time_s"] = marched
     if stats.steps and motion.model.soft_cells.size:
         results["element_updates_per_s"] = stats.steps * motion.model.soft_cells.size / marched
+    if stats.steps:
+        results["time_share"] = stats.clock.shares()
     return results

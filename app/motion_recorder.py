@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,6 +48,8 @@ class Recorder:
     def __init__(
         self, loaded: LoadedCase, motion: Motion, folder: ResultsFolder, lean: bool = False
     ) -> None:
+        from flexapod.dynamics.integrator import RunStats
+
         self.loaded = loaded
         self.lean = lean
         self.motion = motion
@@ -66,6 +69,7 @@ class Recorder:
         count = motion.model.rigid_start
         self.sample = np.arange(0, count, max(1, count // 200))
         self.sample_start: np.ndarray | None = None
+        self.stats = RunStats()
 
     def row(self, energies: Energies) -> dict[str, float]:
         """Columns at the state of the last forces."""
@@ -198,6 +202,7 @@ class Recorder:
             "turn": self.turn,
             "largest_energy": self.largest_energy,
             "weight_start": self.weight_start,
+            "stats": asdict(self.stats),
         }
         if self.motion.model.viscous is not None:
             history = self.motion.model.viscous.history()
@@ -214,6 +219,7 @@ class Recorder:
 
     def resume(self) -> bool:
         """Take the last checkpoint's state; False where there is none."""
+        from flexapod.dynamics.integrator import Clock, RunStats
         from flexapod.dynamics.model import State
 
         kept = self.folder.read_checkpoint()
@@ -234,6 +240,8 @@ class Recorder:
         self.turn = extra["turn"]
         self.largest_energy = extra["largest_energy"]
         self.weight_start = extra["weight_start"]
+        kept_stats = extra["stats"]
+        self.stats = RunStats(**{**kept_stats, "clock": Clock(**kept_stats["clock"])})
         numbers = {k: (math.nan if v is None else v) for k, v in about["state"].items()}
         state = State.from_arrays(arrays, numbers)
         if state.u.shape != self.motion.state.u.shape:

@@ -12,6 +12,9 @@ from flexapod.core.jit import inline_kernel
 _G = 1.0 / math.sqrt(3.0)
 # 2x2 Gauss points on the face (-1, 1)^2.
 POINTS = np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]])
+# Newton's method doubles its digits: after a step of this size in local coordinates what is left
+# is of its square, times the warp of the face over its size, which is less than one.
+NEWTON_SMALL = 1e-7
 
 
 @inline_kernel
@@ -70,55 +73,64 @@ def area_vector(x: Any, face: Any, d: Any, c: Any) -> None:
 
 @inline_kernel
 def project(
-    x: Any,
-    face: Any,
-    p: Any,
-    first_xi: float,
-    first_eta: float,
-    n: Any,
-    d: Any,
-    t: Any,
-    twist: Any,
-) -> tuple[float, float]:
-    """Closest point of the bilinear face to `p`: local coordinates by Newton's method."""
-    for i in range(3):
-        twist[i] = 0.25 * (x[face[0], i] - x[face[1], i] + x[face[2], i] - x[face[3], i])
+    x: Any, face: Any, p: Any, first_xi: float, first_eta: float
+) -> tuple[float, float, float, float]:
+    """Closest point of the bilinear face to `p`, by Newton's method from the coordinates given.
+
+    Returns its local coordinates, the distance of `p` along the normal there [m] and the normal's
+    size [m2]. The face is c + xi a + eta b + xi eta h.
+    """
+    f0, f1, f2, f3 = face[0], face[1], face[2], face[3]
+    ax = 0.25 * (x[f1, 0] - x[f0, 0] + x[f2, 0] - x[f3, 0])
+    ay = 0.25 * (x[f1, 1] - x[f0, 1] + x[f2, 1] - x[f3, 1])
+    az = 0.25 * (x[f1, 2] - x[f0, 2] + x[f2, 2] - x[f3, 2])
+    bx = 0.25 * (x[f3, 0] - x[f0, 0] + x[f2, 0] - x[f1, 0])
+    by = 0.25 * (x[f3, 1] - x[f0, 1] + x[f2, 1] - x[f1, 1])
+    bz = 0.25 * (x[f3, 2] - x[f0, 2] + x[f2, 2] - x[f1, 2])
+    hx = 0.25 * (x[f0, 0] - x[f1, 0] + x[f2, 0] - x[f3, 0])
+    hy = 0.25 * (x[f0, 1] - x[f1, 1] + x[f2, 1] - x[f3, 1])
+    hz = 0.25 * (x[f0, 2] - x[f1, 2] + x[f2, 2] - x[f3, 2])
+    qx = p[0] - 0.25 * (x[f0, 0] + x[f1, 0] + x[f2, 0] + x[f3, 0])
+    qy = p[1] - 0.25 * (x[f0, 1] + x[f1, 1] + x[f2, 1] + x[f3, 1])
+    qz = p[2] - 0.25 * (x[f0, 2] + x[f1, 2] + x[f2, 2] + x[f3, 2])
     xi = first_xi
     eta = first_eta
     for _ in range(12):
-        shape(xi, eta, n)
-        shape_derivatives(xi, eta, d)
-        tangents(x, face, d, t)
-        g0 = 0.0
-        g1 = 0.0
-        m00 = 0.0
-        m01 = 0.0
-        m11 = 0.0
-        rb = 0.0
-        for i in range(3):
-            r = p[i]
-            for a in range(4):
-                r -= n[a] * x[face[a], i]
-            g0 += r * t[0, i]
-            g1 += r * t[1, i]
-            m00 += t[0, i] * t[0, i]
-            m01 += t[0, i] * t[1, i]
-            m11 += t[1, i] * t[1, i]
-            rb += r * twist[i]
-        m01 -= rb
+        sx, sy, sz = ax + eta * hx, ay + eta * hy, az + eta * hz
+        tx, ty, tz = bx + xi * hx, by + xi * hy, bz + xi * hz
+        rx = qx - xi * ax - eta * tx
+        ry = qy - xi * ay - eta * ty
+        rz = qz - xi * az - eta * tz
+        g0 = rx * sx + ry * sy + rz * sz
+        g1 = rx * tx + ry * ty + rz * tz
+        m00 = sx * sx + sy * sy + sz * sz
+        m11 = tx * tx + ty * ty + tz * tz
+        first = sx * tx + sy * ty + sz * tz
+        m01 = first - (rx * hx + ry * hy + rz * hz)
         det = m00 * m11 - m01 * m01
+        small = NEWTON_SMALL
         if not det > 0.0:
-            m01 += rb
+            m01 = first
             det = m00 * m11 - m01 * m01
+            small = NEWTON_SMALL * NEWTON_SMALL
         dxi = (m11 * g0 - m01 * g1) / det
         deta = (m00 * g1 - m01 * g0) / det
         xi += max(-0.5, min(0.5, dxi))
         eta += max(-0.5, min(0.5, deta))
         if abs(xi) > 3.0 or abs(eta) > 3.0:
             break
-        if abs(dxi) + abs(deta) < 1e-13:
+        if abs(dxi) + abs(deta) < small:
             break
-    return xi, eta
+    sx, sy, sz = ax + eta * hx, ay + eta * hy, az + eta * hz
+    tx, ty, tz = bx + xi * hx, by + xi * hy, bz + xi * hz
+    nx = sy * tz - sz * ty
+    ny = sz * tx - sx * tz
+    nz = sx * ty - sy * tx
+    size = math.sqrt(nx * nx + ny * ny + nz * nz)
+    rx = qx - xi * ax - eta * tx
+    ry = qy - xi * ay - eta * ty
+    rz = qz - xi * az - eta * tz
+    return xi, eta, (rx * nx + ry * ny + rz * nz) / size, size
 
 
 @inline_kernel
@@ -139,24 +151,6 @@ def unit_normal(t: Any, normal: Any) -> float:
     for i in range(3):
         normal[i] /= size
     return size
-
-
-@inline_kernel
-def gap_over(
-    x: Any, face: Any, p: Any, xi: float, eta: float, n: Any, d: Any, t: Any, normal: Any
-) -> tuple[float, float]:
-    """Distance of `p` from the face along its normal at (xi, eta), and the normal's size."""
-    shape(xi, eta, n)
-    shape_derivatives(xi, eta, d)
-    tangents(x, face, d, t)
-    size = unit_normal(t, normal)
-    g = 0.0
-    for i in range(3):
-        r = p[i]
-        for a in range(4):
-            r -= n[a] * x[face[a], i]
-        g += r * normal[i]
-    return g, size
 
 
 @inline_kernel
@@ -219,11 +213,6 @@ def choose_partner(
     local: Any,
     gap: Any,
     fade: Any,
-    n: Any,
-    d: Any,
-    t: Any,
-    twist: Any,
-    normal: Any,
 ) -> None:
     """Give point `q` of slave face `f`, at `p`, the nearest candidate it projects onto, or none.
 
@@ -241,10 +230,9 @@ def choose_partner(
             break
         if out_of_reach(x, masters[m], p, margin, min(nearest, farthest)):
             continue
-        xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
+        xi, eta, g, size = project(x, masters[m], p, 0.0, 0.0)
         if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
             continue
-        g, size = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
         if g < deepest or g > farthest:
             continue
         excess_xi = max(0.0, abs(xi) - 1.0)

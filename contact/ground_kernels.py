@@ -190,7 +190,7 @@ def ground_contact(
     shear: Any,
     totals: Any,
 ) -> None:
-    """Add the ground's forces on `active` faces [N]; all other faces are taken to be apart.
+    """Add the ground's forces on `active` faces [N]; of all others nothing is read or written.
 
     With penetration d, its rate d' and the tangential velocity v_t of a point, the tractions are
 
@@ -228,6 +228,7 @@ def ground_contact(
         less the growth of what sticks.
     pressure, shear
         t_n and t_t [Pa], shape (face_count, 4), overwritten; zero for points apart.
+        The caller sets a face that is no longer active apart: no anchors, no tractions.
     totals
         Overwritten, shape (TOTALS,): see `contact.law_kernels`; forces are the ground's on the
         body.
@@ -239,21 +240,11 @@ def ground_contact(
     traction_force = np.empty(3)
     normal = np.empty(3)
     totals[:] = 0.0
-    pressure[:] = 0.0
-    # A negative shear marks the faces not looked at, which lose their anchors.
-    shear[:] = -1.0
-    for k in range(active.shape[0]):
-        for q in range(points.shape[0]):
-            shear[active[k], q] = 0.0
-    for f in range(faces.shape[0]):
-        for q in range(points.shape[0]):
-            if shear[f, q] < 0.0:
-                shear[f, q] = 0.0
-                for i in range(3):
-                    anchor[f, q, i] = math.nan
     for k in range(active.shape[0]):
         f = active[k]
         for q in range(points.shape[0]):
+            pressure[f, q] = 0.0
+            shear[f, q] = 0.0
             shape(points[q, 0], points[q, 1], n)
             for i in range(3):
                 p[i] = 0.0

@@ -18,7 +18,6 @@ from flexapod.contact.face_kernels import POINTS as POINTS
 from flexapod.contact.face_kernels import (
     area_vector,
     choose_partner,
-    gap_over,
     point,
     project,
     shape,
@@ -42,10 +41,10 @@ def point_areas(x: Any, faces: Any, points: Any, out: Any) -> None:
             out[f, q] = math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
 
 
-@kernel
+@parallel_kernel
 def face_frames(x: Any, faces: Any, centre: Any, normal: Any) -> None:
     """Fill centroids and unit normals of faces, shapes (face_count, 3)."""
-    for f in range(faces.shape[0]):
+    for f in numba.prange(faces.shape[0]):
         for i in range(3):
             centre[f, i] = 0.25 * (
                 x[faces[f, 0], i] + x[faces[f, 1], i] + x[faces[f, 2], i] + x[faces[f, 3], i]
@@ -80,66 +79,6 @@ def point_positions(x: Any, faces: Any, points: Any, out: Any) -> None:
 
 
 @parallel_kernel
-def pick_candidates(
-    found: Any,
-    slaves: Any,
-    masters: Any,
-    slave_normal: Any,
-    master_normal: Any,
-    facing: float,
-    joined: bool,
-    joint_gap: float,
-    crease: float,
-    slave_rest: Any,
-    slave_rest_normal: Any,
-    slave_size: Any,
-    master_rest: Any,
-    master_rest_normal: Any,
-    master_size: Any,
-    out: Any,
-) -> None:
-    """Keep of the master faces `found` (slave_count, k), nearest first, those that may touch.
-
-    See `contact.search.candidate_faces`, whose rules these are; the arrays named rest belong to
-    the undeformed surfaces and count where `joined` says that both are of one body. Entries of
-    `found` beyond the masters mean none. `out` (slave_count, n) must hold -1.
-    """
-    for f in numba.prange(slaves.shape[0]):
-        count = 0
-        for k in range(found.shape[1]):
-            m = found[f, k]
-            if m >= masters.shape[0] or count == out.shape[1]:
-                break
-            cosine = 0.0
-            for i in range(3):
-                cosine += slave_normal[f, i] * master_normal[m, i]
-            if not cosine < facing:
-                continue
-            shared = False
-            for a in range(4):
-                for b in range(4):
-                    shared = shared or slaves[f, a] == masters[m, b]
-            if shared:
-                continue
-            if joined:
-                apart = 0.0
-                square = 0.0
-                cosine = 0.0
-                for i in range(3):
-                    d = slave_rest[f, i] - master_rest[m, i]
-                    apart += d * master_rest_normal[m, i]
-                    square += d * d
-                    cosine += slave_rest_normal[f, i] * master_rest_normal[m, i]
-                opposite = cosine < facing and apart > 0.0  # and not back to back on one wall
-                across = abs(apart) > joint_gap
-                size = max(slave_size[f], master_size[m])
-                if not (opposite and across) and not math.sqrt(square) > crease * size:
-                    continue
-            out[f, count] = m
-            count += 1
-
-
-@parallel_kernel
 def find_partners(
     x: Any,
     slaves: Any,
@@ -165,11 +104,7 @@ def find_partners(
     """
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
-        d = np.empty((4, 2))
-        t = np.empty((2, 3))
-        twist = np.empty(3)
         p = np.empty(3)
-        normal = np.empty(3)
         for q in range(points.shape[0]):
             shape(points[q, 0], points[q, 1], n)
             point(x, slaves[f], n, p)
@@ -188,11 +123,6 @@ def find_partners(
                 local,
                 gap,
                 fade,
-                n,
-                d,
-                t,
-                twist,
-                normal,
             )
 
 
@@ -206,19 +136,14 @@ def project_on_partners(
     """
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
-        d = np.empty((4, 2))
-        t = np.empty((2, 3))
-        twist = np.empty(3)
         p = np.empty(3)
-        normal = np.empty(3)
         for q in range(points.shape[0]):
             m = partner[f, q]
             if m < 0:
                 continue
             shape(points[q, 0], points[q, 1], n)
             point(x, slaves[f], n, p)
-            xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
-            gap[f, q], _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
+            xi, eta, gap[f, q], _ = project(x, masters[m], p, 0.0, 0.0)
             local[f, q, 0] = xi
             local[f, q, 1] = eta
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import get_num_threads
-from scipy.spatial import cKDTree
 
-from flexapod.contact import kernels
+from flexapod.contact import kernels, search_kernels
 
 CANDIDATE_COUNT = 12
 # Faces whose normals open wider than this (cosine) do not face each other.
@@ -17,6 +15,10 @@ FACING_COSINE = -0.7
 # two sides of a crease or of one wall. How a crease closes within an element or two no mesh
 # resolves, and a point that slips round its corner finds the other side deep behind it.
 CREASE = 2.5
+# Cells of the search's grid along each axis, at most: its memory stays small however far parts fly.
+MOST_CELLS = 32
+# Cells the reach is divided into: more fit the sphere that is looked through more closely.
+SPAN = 3
 
 
 def candidate_faces(
@@ -46,25 +48,33 @@ def candidate_faces(
     Returns
     -------
     Indices into `masters`, shape (slave_count, CANDIDATE_COUNT), -1 where there are fewer.
-    Faces that share a node or do not face each other are left out. The cost grows like
-    n log n of the number of faces.
+    Faces that share a node or do not face each other are left out. The cost grows with the number
+    of faces, as long as few of them are within reach of one.
     """
     out = np.full((slaves.shape[0], CANDIDATE_COUNT), -1, dtype=np.int32)
-    if not slaves.shape[0] or not masters.shape[0]:
+    if not slaves.shape[0] or not masters.shape[0] or not reach > 0.0:
         return out
-    slave_frames, master_frames = _frames(x, slaves), _frames(x, masters)
-    # Neighbours on the same surface are many and never partners: ask for several times more.
-    count = min(5 * CANDIDATE_COUNT, masters.shape[0])
-    _, found = cKDTree(master_frames[0]).query(
-        slave_frames[0], k=count, distance_upper_bound=reach, workers=get_num_threads()
-    )
+    slave_frames = _frames(x, slaves)
+    master_frames = slave_frames if masters is slaves else _frames(x, masters)
+    low, width, cells = _grid(master_frames[0], reach)
+    start = np.empty(int(cells.prod()) + 1, dtype=np.int64)
+    order = np.empty(masters.shape[0], dtype=np.int64)
+    search_kernels.sort_into_cells(master_frames[0], low, width, cells, start, order)
     joined = rest is not None
-    rest = rest or Rest.of(x, slaves, masters)
-    kernels.pick_candidates(
-        found.reshape(slaves.shape[0], count),
+    if rest is None:
+        rest = Rest(*slave_frames, np.empty(0), *master_frames, np.empty(0))  # not looked at
+    search_kernels.pick_candidates(
+        low,
+        width,
+        cells,
+        start,
+        order,
+        master_frames[0][order],
+        SPAN,
+        reach,
         slaves,
         masters,
-        slave_frames[1],
+        *slave_frames,
         master_frames[1],
         FACING_COSINE,
         joined,
@@ -74,6 +84,18 @@ def candidate_faces(
         out,
     )
     return out
+
+
+def _grid(points: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lowest corner [m], widths of a cell [m] and numbers of cells of a grid around `points`.
+
+    No cell is narrower than `reach` over `SPAN` [m]: nothing within it lies more cells away.
+    """
+    low = points.min(axis=0)
+    extent = points.max(axis=0) - low
+    least = reach / SPAN
+    cells = np.clip(np.nan_to_num(extent / least), 1, MOST_CELLS).astype(np.int64)
+    return low, np.maximum(extent / cells, least), cells
 
 
 class Rest(NamedTuple):

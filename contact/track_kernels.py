@@ -15,7 +15,6 @@ import numpy as np
 
 from flexapod.contact.face_kernels import (
     choose_partner,
-    gap_over,
     out_of_reach,
     point,
     project,
@@ -62,11 +61,7 @@ def mark_near(
     """
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
-        d = np.empty((4, 2))
-        t = np.empty((2, 3))
-        twist = np.empty(3)
         p = np.empty(3)
-        normal = np.empty(3)
         near[f] = 0
         for q in range(points.shape[0]):
             if near[f] == 1:
@@ -79,10 +74,9 @@ def mark_near(
                     break
                 if out_of_reach(x, masters[m], p, margin, reach):
                     continue
-                xi, eta = project(x, masters[m], p, 0.0, 0.0, n, d, t, twist)
+                xi, eta, g, _ = project(x, masters[m], p, 0.0, 0.0)
                 if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue
-                g, _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
                 if -depth < g < reach:
                     near[f] = 1
                     break
@@ -100,21 +94,13 @@ def _follow(
     local: Any,
     gap: Any,
     fade: Any,
-    n: Any,
-    d: Any,
-    t: Any,
-    twist: Any,
-    normal: Any,
 ) -> bool:
     """Refresh a point on its partner; False where it has none or slid over the rim."""
     m = partner[f, q]
     if m < 0:
         return False
-    xi, eta = project(x, masters[m], p, local[f, q, 0], local[f, q, 1], n, d, t, twist)
-    if abs(xi) > 1.0 or abs(eta) > 1.0:
-        return False
-    g, _ = gap_over(x, masters[m], p, xi, eta, n, d, t, normal)
-    if g < -depth:
+    xi, eta, g, _ = project(x, masters[m], p, local[f, q, 0], local[f, q, 1])
+    if abs(xi) > 1.0 or abs(eta) > 1.0 or g < -depth:
         return False
     gap[f, q] = g
     local[f, q, 0] = xi
@@ -157,19 +143,13 @@ def track_partners(
     for k in numba.prange(near_count):
         f = near[k]
         n = np.empty(4)
-        d = np.empty((4, 2))
-        t = np.empty((2, 3))
-        twist = np.empty(3)
         p = np.empty(3)
-        normal = np.empty(3)
         for q in range(points.shape[0]):
             if not anew and not gap[f, q] < close:
                 continue
             shape(points[q, 0], points[q, 1], n)
             point(x, slaves[f], n, p)
-            if _follow(
-                x, masters, p, f, q, depth, partner, local, gap, fade, n, d, t, twist, normal
-            ):
+            if _follow(x, masters, p, f, q, depth, partner, local, gap, fade):
                 continue
             deepest = -slack
             if partner[f, q] >= 0 and gap[f, q] < 0.0:
@@ -189,11 +169,6 @@ def track_partners(
                 local,
                 gap,
                 fade,
-                n,
-                d,
-                t,
-                twist,
-                normal,
             )
 
 

@@ -519,7 +519,7 @@ class SurfaceContact:
             history[f"anchor_face{k}"][far] = -1
             p.pressure[far] = 0.0
             self.shear[k][far] = 0.0
-        np.take(x, self.watched, axis=0, out=history["x"])
+        np.take(x, self.watched, axis=0, out=history["x"], mode="clip")
         history["x_near"][:] = history["x"]
         history["since"][0] = 0.0
 
@@ -571,7 +571,7 @@ class SurfaceContact:
         if history["since"][0] > SEARCH_SHARE * self.skin:
             self._search(x, history)
         else:
-            np.take(x, self.watched, axis=0, out=history["x_near"])
+            np.take(x, self.watched, axis=0, out=history["x_near"], mode="clip")
         history["way"][0] = 0.0
         history["age"][0] = 0
         history["next"][0] = min(max(age // 2, 1), self.check_every)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from time import perf_counter
 
 import numpy as np
 
@@ -32,6 +33,57 @@ from flexapod.fem import kernels as fem_kernels
 INTERNAL, PRESSURE, DISSIPATIVE, MASS_DAMPING, VISCOUS, BROKEN = 1, 2, 3, 4, 5, 6
 FASTEST = 6
 WORKS = slice(1, 6)
+
+# Parts of a run's time, see `Clock`. Contact's share of the stable step counts with that.
+ELEMENTS, BRANCHES, PRESSURES = "element_forces", "viscous_forces", "pressure"
+SEARCH, CONTACT, BONDS, LINES = "contact_search", "contact_forces", "bonds", "lines"
+KICK, DRIFT, STABLE, OUTPUT, REST = "kick", "drift", "stable_step", "output", "rest"
+PARTS = (
+    ELEMENTS,
+    BRANCHES,
+    PRESSURES,
+    SEARCH,
+    CONTACT,
+    BONDS,
+    LINES,
+    KICK,
+    DRIFT,
+    STABLE,
+    OUTPUT,
+    REST,
+)
+
+
+@dataclass
+class Clock:
+    """Seconds spent per part of a run: each lap counts for the part that ends with it.
+
+    So the parts add up to the whole. A lap costs a tenth of a microsecond, a step about ten laps.
+    """
+
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
+
+    def __post_init__(self) -> None:
+        self.start()
+
+    def start(self) -> None:
+        """Begin a lap; what went by since the last one counts for nothing."""
+        self._last = perf_counter()
+
+    def lap(self, part: str) -> None:
+        """Count the time since the last lap for `part`."""
+        now = perf_counter()
+        self.seconds[part] += now - self._last
+        self._last = now
+
+    def total(self) -> float:
+        """Of all parts [s]."""
+        return sum(self.seconds.values())
+
+    def shares(self) -> dict[str, float]:
+        """Fractions of the total of the parts that took any time."""
+        total = self.total()
+        return {part: spent / total for part, spent in self.seconds.items() if spent > 0.0}
 
 
 @dataclass(frozen=True)
@@ -105,6 +157,7 @@ class Workspace:
         self.inverse_mass = 1.0 / model.mass
         self.tangents = np.empty((0, fem_kernels.PAIR_COUNT, 3, 3))
         self.cell_pressure = np.zeros(model.soft_cells.size)
+        self.clock = Clock()
 
 
 @dataclass(frozen=True)
@@ -254,6 +307,8 @@ def scale_mass(model: Model, state: State, work: Workspace, target: float) -> fl
 def evaluate(model: Model, state: State, work: Workspace) -> None:
     """Forces of everything at the state's positions."""
     count = model.mesh_node_count
+    clock = work.clock
+    clock.lap(REST)
     if model.internal is not None:
         u = state.u
         if model.damping.stiffness > 0.0 and state.omega > 0.0:
@@ -263,8 +318,10 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
         work.strain_energy = model.internal(u[:count], work.internal[:count])
         if not math.isfinite(work.strain_energy):
             _name_inverted(model, state)
+        clock.lap(ELEMENTS)
         if model.viscous is not None:
             model.viscous.force(state.u[:count], state.dt_before, work.viscous[:count])
+            clock.lap(BRANCHES)
     if model.chambers:
         for k, (chamber, cavity) in enumerate(zip(model.chambers, model.cavities, strict=True)):
             if cavity is not None:
@@ -278,18 +335,23 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
         kernels.gather_faces(
             work.face_force, model.face_nodes, model.face_start, model.face_entry, work.pressure
         )
+        clock.lap(PRESSURES)
     work.elastic[:] = 0.0
     work.dissipative[:] = 0.0
+    clock.lap(REST)
     for contact, history in zip(model.contacts, state.histories, strict=True):
         try:
             contact.prepare(state.x, history, state.travel)
+            clock.lap(SEARCH)
             contact.add_forces(state.x, state.v, history, work.elastic, work.dissipative)
+            clock.lap(CONTACT)
         except SolverError as error:
             raise SolverError(error.status, f"at {state.time:.6g} s {error.text}") from None
     if model.lines is not None:
         work.line_energy = model.lines.add_forces(
             state.x, state.v, state.time, state.dt_before, state.lines, work.elastic
         )
+        clock.lap(LINES)
     for k, bond in enumerate(model.bonds):
         if not state.whole[k]:
             work.bond_totals[k] = 0.0
@@ -312,6 +374,8 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
             state.whole[k] = False
             state.works[BROKEN] += totals[0]
             totals[0] = 0.0
+    if model.bonds:
+        clock.lap(BONDS)
 
 
 def _name_inverted(model: Model, state: State) -> None:
@@ -330,7 +394,8 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
     """Advance all velocities by `h` [s]; `work.sums` holds the works of the kick."""
     rigid = model.rigid
     if model.owned.size:
-        np.take(state.v, model.owned, axis=0, out=work.owned_before)
+        # Any mode but the default writes to `out` without a copy.
+        np.take(state.v, model.owned, axis=0, out=work.owned_before, mode="clip")
     kernels.kick(
         h,
         model.damping.mass,
@@ -499,7 +564,9 @@ def step(
     """
     first = kinetic_energy(model, state) if math.isnan(state.energy_start) else 0.0
     evaluate(model, state, work)
+    work.clock.lap(REST)
     kick(model, state, work, 0.5 * (state.dt_before + dt))
+    work.clock.lap(KICK)
     # Energies belong to whole steps and works to half steps: a part of this kick is before.
     before = state.dt_before / (state.dt_before + dt)
     half = (1.0 - before) * work.sums[WORKS]
@@ -513,10 +580,14 @@ def step(
     for contact, history in zip(model.contacts, state.histories, strict=True):
         account(contact, history, dt)
     if record is not None:
+        work.clock.lap(REST)
         record()
+        work.clock.lap(OUTPUT)
     state.works[WORKS] += half
     _feed(model, state, work, dt)
+    work.clock.lap(REST)
     drift(model, state, work, dt)
+    work.clock.lap(DRIFT)
 
 
 def energies(model: Model, state: State, work: Workspace) -> Energies:
@@ -568,6 +639,7 @@ class RunStats:
     largest_step: float = 0.0
     estimates: int = 0
     deepest: float = 0.0  # largest penetration of any contact [m]
+    clock: Clock = field(default_factory=Clock)
 
 
 def march(
@@ -601,6 +673,8 @@ def march(
     """
     stats = RunStats() if stats is None else stats
     fast = _LineMarch(model, state, work) if _LineMarch.serves(model) else None
+    work.clock = stats.clock
+    work.clock.start()
     while state.interval < intervals:
         begin = state.interval * options.interval
         left, first = options.interval, record
@@ -608,7 +682,9 @@ def march(
             # Almost always once: again where contact went deeper than the step was chosen for.
             state.time = begin
             whole = left == options.interval
+            work.clock.lap(REST)
             count, allowed = _choose_step(model, state, work, options, left, whole)
+            work.clock.lap(STABLE)
             dt = left / count
             stats.estimates += 1
             stats.smallest_step = min(stats.smallest_step, dt)
@@ -637,8 +713,11 @@ def march(
             left = left - done * dt if done < count else 0.0
         state.interval += 1
         state.time = state.interval * options.interval
+        work.clock.lap(REST)
         if interval_done is not None:
             interval_done(state)
+            work.clock.lap(OUTPUT)
+    work.clock = Clock()  # what is evaluated later is no part of this run
     return stats
 
 
@@ -718,6 +797,8 @@ class _LineMarch:
             work.sums,
             self.out,
         )
+        # With its ground, kicks and drifts: they are one call.
+        work.clock.lap(LINES)
         done = int(self.out[0])
         if done:
             state.dt_before = dt
@@ -777,7 +858,9 @@ def _feed(model: Model, state: State, work: Workspace, dt: float) -> None:
 
 __all__ = [
     "BROKEN",
+    "PARTS",
     "STICK",
+    "Clock",
     "Energies",
     "Options",
     "RunStats",

@@ -215,7 +215,7 @@ def surface_passes(
     surface = np.ascontiguousarray(surface, dtype=np.int64)
     partner = np.ascontiguousarray(partner, dtype=np.int64)
     if np.array_equal(surface, partner):
-        return [SurfacePass(nodes, surface, partner, joint_gap)]
+        return [SurfacePass(nodes, surface, surface, joint_gap)]
     return [SurfacePass(nodes, surface, partner, None), SurfacePass(nodes, partner, surface, None)]
 
 
@@ -247,7 +247,9 @@ class SurfacePass:
 
         Surfaces may come nearer by `room` [m] until the next time.
         """
-        size = max(diagonals(x, faces).max(initial=0.0) for faces in (self.slaves, self.masters))
+        size = diagonals(x, self.slaves).max(initial=0.0)
+        if self.masters is not self.slaves:
+            size = max(size, diagonals(x, self.masters).max(initial=0.0))
         self.candidates = candidate_faces(
             x, self.slaves, self.masters, size + room, self._rest, self._joint_gap
         )

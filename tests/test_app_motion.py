@@ -130,6 +130,9 @@ def test_a_killed_motion_goes_on_to_the_same_bits(
     monkeypatch.setattr(motion_module._Recorder, "record", stop)
     broken = run_case(loaded, tmp_path / "broken")
     assert broken.status is Status.INTERRUPTED
+    with h5py.File(tmp_path / "broken" / "checkpoint.h5") as file:
+        kept = json.loads(file.attrs["about"])["recorder"]["stats"]
+    assert kept["steps"] > 0
     monkeypatch.setattr(motion_module._Recorder, "record", record)
     assert run_case(loaded, tmp_path / "broken", resume=True).status is Status.DONE
     states = []
@@ -140,6 +143,16 @@ def test_a_killed_motion_goes_on_to_the_same_bits(
     for key, value in states[0].items():
         assert np.array_equal(value, states[1][key], equal_nan=True), key
     assert _rows(tmp_path / "whole") == _rows(tmp_path / "broken")
+    # What the run cost is that of both sittings.
+    whole, resumed = (
+        json.loads((tmp_path / name / "summary.json").read_text())["results"]
+        for name in ("whole", "broken")
+    )
+    for key in ("steps", "smallest_step_us", "largest_step_us", "deepest_penetration_mm"):
+        assert whole[key] == resumed[key], key
+    assert resumed["motion_time_s"] > sum(kept["clock"]["seconds"].values())
+    assert sum(resumed["time_share"].values()) == pytest.approx(1.0, rel=1e-12)  # round-off
+    assert resumed["time_share"].keys() >= {"element_forces", "contact_search", "contact_forces"}
 
 
 SEARCH = """

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 from statics_helpers import grid
 
-from flexapod.contact.search import CANDIDATE_COUNT, Rest, candidate_faces
+from flexapod.contact.search import CANDIDATE_COUNT, FACING_COSINE, Rest, candidate_faces
 from flexapod.geometry.tagged import boundary_facets
 
 
@@ -42,6 +44,37 @@ def test_facing_walls_find_each_other_and_nothing_else() -> None:
             assert not set(faces[f]) & set(faces[w])
         # Nearest first.
         assert np.all(np.diff(np.linalg.norm(centre[picked] - centre[w], axis=1)) >= -1e-12)
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.3, 2.0, np.inf])
+def test_the_nearest_of_all_that_may_touch_are_found(reach: float) -> None:
+    # Squares strewn about, turned at random, some far off: every pair is looked at here.
+    rng = np.random.default_rng(3)
+    count = 300
+    corners = 0.02 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    places = rng.random((count, 3)) * [1.0, 0.4, 0.1]
+    places[:5] *= 40.0  # beyond the others: cells are wider than the reach then
+    turns = Rotation.random(count, random_state=rng).as_matrix()
+    x = (places[:, None] + np.einsum("fij,aj->fai", turns, corners)).reshape(-1, 3)
+    faces = np.arange(4 * count).reshape(-1, 4)
+    first, second = faces[: count // 3], faces[count // 3 :]
+    for slaves, masters in ((first, second), (faces, faces)):
+        found = candidate_faces(x, slaves, masters, reach)
+        here, there = x[slaves].mean(axis=1), x[masters].mean(axis=1)
+        turned = turns[slaves[:, 0] // 4, :, 2] @ turns[masters[:, 0] // 4, :, 2].T
+        distance = np.linalg.norm(here[:, None] - there, axis=2)
+        may = (turned < FACING_COSINE) & (distance < reach)
+        for f in range(len(slaves)):
+            nearest = np.argsort(np.where(may[f], distance[f], np.inf), kind="stable")
+            wanted = nearest[: min(may[f].sum(), CANDIDATE_COUNT)]
+            assert found[f][found[f] >= 0].tolist() == wanted.tolist()
+
+
+def test_places_that_are_no_numbers_end_the_search_all_the_same() -> None:
+    x, faces, walls = _slot(0.02)
+    x = x.copy()
+    x[faces[walls[0]][0]] = np.nan
+    assert candidate_faces(x, faces, faces, 0.3).shape == (len(faces), CANDIDATE_COUNT)
 
 
 def test_neighbours_on_a_flat_side_are_no_candidates() -> None:

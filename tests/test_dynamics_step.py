@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import tracemalloc
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,35 +13,65 @@ from statics_helpers import grid, solid
 from flexapod.contact.ground import Plane
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.core.errors import SolverError, Status
-from flexapod.dynamics.commands import Chamber, PressureTable, Table
+from flexapod.dynamics import integrator
+from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
 from flexapod.dynamics.contacts import GroundContact, SurfaceContact
-from flexapod.dynamics.integrator import Options, Workspace, highest_frequency, march, step
-from flexapod.dynamics.model import Model
+from flexapod.dynamics.integrator import (
+    Options,
+    RunStats,
+    Workspace,
+    highest_frequency,
+    march,
+    step,
+)
+from flexapod.dynamics.model import Bond, Damping, Model
+from flexapod.dynamics.rigid import RigidBodies
 from flexapod.materials.neo_hooke import NeoHooke
 
 LAW = ContactLaw(97e3 * 1000**0.5)
 
 
-def _model(n: int, low: float = 0.0) -> Model:
-    """A cube on the ground, under air pressure, its sides watched for each other."""
+def _model(n: int, low: float = 0.0, busy: bool = False) -> Model:
+    """A cube on the ground, under air pressure, its sides watched for each other.
+
+    `busy` adds all else that acts in a step: gas pumped in through the skin, a rigid part glued to
+    a third of the cube, rods through it and damping.
+    """
     mesh = grid((n, n, n), lambda x: 0.02 * x + [0.0, 0.0, low])
     sides = np.concatenate([mesh.facet_groups[name] for name in ("x0", "x1")])
     ground = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), FrictionLaw.constant(0.5))
+    chambers = [Chamber("top", mesh.facet_groups["z1"], PressureTable(Table.constant(1e3)))]
+    more: dict[str, Any] = {}
+    if busy:
+        skin = np.concatenate([mesh.facet_groups[f"{axis}{k}"] for axis in "xyz" for k in (0, 1)])
+        chambers.append(Chamber("around", skin[:, ::-1], Pump(Table.constant(1e-9))))
+        pairs = np.stack([mesh.facet_nodes("z0"), mesh.facet_nodes("z1")], axis=1)
+        ones = np.ones(len(pairs))
+        more = {
+            "rigid": RigidBodies(
+                ("part",), np.array([0.01]), 1e-6 * np.eye(3)[None], np.ones((1, 6), bool)
+            ),
+            "rigid_centres": np.array([[0.01, 0.02, 0.01]]),
+            "tied": {"part": np.flatnonzero(mesh.nodes[:, 1] > 0.0133)},
+            "bonds": [Bond("rods", pairs, ones, 0.02 * ones)],
+            "damping": Damping(mass=1.0, stiffness=0.01),
+        }
     return Model(
         solid(mesh, NeoHooke(73e3), 0.45, 1080.0),
         gravity=(0.0, 0.0, -9.8),
-        chambers=[Chamber("top", mesh.facet_groups["z1"], PressureTable(Table.constant(1e3)))],
+        chambers=chambers,
         contacts=[
             GroundContact("ground", mesh.nodes, mesh.facet_groups["z0"], ground, LAW),
             SurfaceContact("sides", mesh.nodes, sides, sides, LAW),
         ],
+        **more,
     )
 
 
 def test_a_step_allocates_nothing_that_grows_with_the_mesh() -> None:
     most = []
     for n in (4, 12):
-        model = _model(n, low=-1e-4)
+        model = _model(n, low=-1e-4, busy=True)
         state, work = model.start(), Workspace(model)
         dt = 0.5 / highest_frequency(model, state, work)
         for _ in range(30):
@@ -52,8 +84,39 @@ def test_a_step_allocates_nothing_that_grows_with_the_mesh() -> None:
         most.append(tracemalloc.get_traced_memory()[1] - before)
         tracemalloc.stop()
     # Small objects of Python and three-by-three matrices; one vector of nodal forces of the larger
-    # cube is 53 kB, one number per node 18 kB.
+    # cube is 53 kB, one number per node 18 kB, a vector at the nodes of the rigid part 16 kB.
     assert max(most) < 16000
+
+
+def test_the_parts_of_a_runs_time_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A second passes at every look at the clock, and a hundred while a row is written.
+    seconds = itertools.count()
+    monkeypatch.setattr(integrator, "perf_counter", lambda: float(next(seconds)))
+    model = _model(3, low=-1e-4, busy=True)
+    state, work, stats = model.start(), Workspace(model), RunStats()
+
+    def write(state: object) -> None:
+        for _ in range(100):
+            next(seconds)
+
+    began = next(seconds)
+    march(model, state, work, 3, Options(interval=1e-4), write, stats=stats)
+    spent = stats.clock.seconds
+    # Beside the looks at the clock counted here: the first look, and the one of the clock that
+    # times nothing from the end on.
+    assert sum(spent.values()) == next(seconds) - began - 3
+    assert spent["output"] == 3 * 101
+    assert spent["stable_step"] == stats.estimates
+    for part, laps in (("element_forces", 1), ("pressure", 1), ("bonds", 1), ("kick", 1),
+                       ("drift", 1), ("contact_search", 2), ("contact_forces", 2)):  # fmt: skip
+        assert spent[part] == laps * stats.steps, part
+    assert spent["viscous_forces"] == 0.0
+    shares = stats.clock.shares()
+    assert "viscous_forces" not in shares
+    assert sum(shares.values()) == pytest.approx(1.0, rel=1e-12)  # round-off
+    # What is evaluated later is no part of the run.
+    step(model, state, work, state.dt_before)
+    assert stats.clock.seconds == spent
 
 
 def test_a_velocity_that_is_no_number_names_node_and_element() -> None:
