@@ -120,20 +120,20 @@ def test_a_killed_motion_goes_on_to_the_same_bits(
 ) -> None:
     loaded = load_case(str(case))
     run_case(loaded, tmp_path / "whole")
-    record = motion_module._Recorder.record
+    record = motion_module.Recorder.record
 
     def stop(self: object, state: object) -> None:
         record(self, state)  # type: ignore[arg-type]
         if state.interval == 7:  # type: ignore[attr-defined]
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_module._Recorder, "record", stop)
+    monkeypatch.setattr(motion_module.Recorder, "record", stop)
     broken = run_case(loaded, tmp_path / "broken")
     assert broken.status is Status.INTERRUPTED
     with h5py.File(tmp_path / "broken" / "checkpoint.h5") as file:
         kept = json.loads(file.attrs["about"])["recorder"]["stats"]
     assert kept["steps"] > 0
-    monkeypatch.setattr(motion_module._Recorder, "record", record)
+    monkeypatch.setattr(motion_module.Recorder, "record", record)
     assert run_case(loaded, tmp_path / "broken", resume=True).status is Status.DONE
     states = []
     for name in ("whole", "broken"):
