@@ -252,9 +252,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
         for name, value in summary["results"].items():
             if isinstance(value, float) and not name.startswith(("load_", "solve_")):
                 console.print(f"  {name:24} {value:.6g}", markup=False)
-            elif isinstance(value, dict):
+            elif isinstance(value, dict) and name != "contacts":
+                # Collections of a sweep, slopes by pattern.
                 for words, inner in _flat(value):
-                    shown = f"{inner:.6g}" if isinstance(inner, int | float) else inner or "-"
+                    shown = f"{inner:.6g}" if isinstance(inner, int | float) else str(inner or "-")
                     console.print(f"  {name}: {words:20} {shown}", markup=False, soft_wrap=True)
     console.print(f"results: {summary['folder']}", markup=False, soft_wrap=True)
 
