@@ -248,15 +248,17 @@ def ground_contact(
             shape(points[q, 0], points[q, 1], n)
             for i in range(3):
                 p[i] = 0.0
-                velocity[i] = 0.0
                 for a in range(4):
                     p[i] += n[a] * x[faces[f, a], i]
-                    velocity[i] += n[a] * v[faces[f, a], i]
             gap = gap_and_normal(kind, params, heights, p, normal)
             if not gap < 0.0:
                 for i in range(3):
                     anchor[f, q, i] = math.nan
                 continue
+            for i in range(3):
+                velocity[i] = 0.0
+                for a in range(4):
+                    velocity[i] += n[a] * v[faces[f, a], i]
             w = areas[f, q]
             depth = -gap
             along = velocity[0] * normal[0] + velocity[1] * normal[1] + velocity[2] * normal[2]

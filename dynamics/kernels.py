@@ -67,6 +67,8 @@ def gather_faces(face_force: Any, nodes: Any, start: Any, entry: Any, out: Any) 
 @inline_kernel
 def kick_part(
     part: int,
+    first: int,
+    last: int,
     h: float,
     damping: float,
     gravity: Any,
@@ -83,8 +85,7 @@ def kick_part(
     total: Any,
     parts: Any,
 ) -> None:
-    """`kick` of one of the PARTS of the nodes."""
-    count = v.shape[0]
+    """`kick` of the nodes from `first` up to `last`, with its sums in row `part`."""
     kinetic = 0.0
     work_internal = 0.0
     work_pressure = 0.0
@@ -92,7 +93,7 @@ def kick_part(
     work_damping = 0.0
     work_viscous = 0.0
     fastest = 0.0
-    for node in range(part * count // PARTS, (part + 1) * count // PARTS):
+    for node in range(first, last):
         if owner[node] >= 0:
             for i in range(3):
                 total[node, i] = (
@@ -167,9 +168,12 @@ def kick(
     mean velocity [J], the work [J] of the internal forces (as forces on the nodes), of pressure,
     of `dissipative`, of the mass damping and of `viscous`, and the largest squared speed [m2/s2].
     """
+    count = v.shape[0]
     for part in numba.prange(PARTS):
         kick_part(
             part,
+            part * count // PARTS,
+            (part + 1) * count // PARTS,
             h,
             damping,
             gravity,

@@ -15,7 +15,7 @@ from flexapod.contact import law_kernels
 from flexapod.contact.face_kernels import POINTS
 from flexapod.contact.ground_kernels import ground_contact, near_faces
 from flexapod.core.jit import inline_kernel, kernel
-from flexapod.dynamics.kernels import PARTS, kick_part
+from flexapod.dynamics.kernels import kick_part
 from flexapod.materials.rheology_kernels import active_force, advance
 
 # Entries of a history's "spent": what rheology and bending dissipated, what active forces worked.
@@ -545,33 +545,30 @@ def march(
         line_forces(nodes.x, nodes.v, dt_before, lines, active_before, history, nodes.elastic)
         hinge_forces(nodes.x, dt_before, hinges, history, nodes.elastic)
         h = 0.5 * (dt_before + dt)
-        for part in range(PARTS):
-            kick_part(
-                part,
-                h,
-                mass_damping,
-                gravity,
-                nodes.mass,
-                nodes.own_mass,
-                nodes.owner,
-                nodes.fixed,
-                nodes.nothing,
-                nodes.nothing,
-                nodes.elastic,
-                nodes.dissipative,
-                nodes.nothing,
-                nodes.v,
-                nodes.total,
-                nodes.parts,
-            )
+        kick_part(
+            0,
+            0,
+            nodes.v.shape[0],
+            h,
+            mass_damping,
+            gravity,
+            nodes.mass,
+            nodes.own_mass,
+            nodes.owner,
+            nodes.fixed,
+            nodes.nothing,
+            nodes.nothing,
+            nodes.elastic,
+            nodes.dissipative,
+            nodes.nothing,
+            nodes.v,
+            nodes.total,
+            nodes.parts,
+        )
         for j in range(1, 6):
-            for part in range(PARTS):
-                works[j] += nodes.parts[part, j]
-        sums[0] = 0.0
-        fastest = 0.0
-        for part in range(PARTS):
-            sums[0] += nodes.parts[part, 0]
-            fastest = max(fastest, nodes.parts[part, 6])
+            works[j] += nodes.parts[0, j]
+        sums[0] = nodes.parts[0, 0]
+        fastest = nodes.parts[0, 6]
         if not math.isfinite(sums[0]):
             return TROUBLE
         if ground.faces.shape[0] > 0:
