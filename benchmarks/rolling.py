@@ -15,8 +15,8 @@ from pathlib import Path
 import numba
 
 from flexapod.app.case import LoadedCase, parse_case
-from flexapod.app.motion_recorder import Recorder
 from flexapod.app.motion_model import assemble_motion, start_shape
+from flexapod.app.motion_recorder import Recorder
 from flexapod.app.outputs import ResultsFolder
 from flexapod.dynamics.integrator import Options, march
 

@@ -381,8 +381,10 @@ class GroundContact:
             nearest = np.take_along_axis(
                 self.curve_nodes, self.curve_weights.argmax(axis=1)[:, None], axis=1
             )[:, 0]
-            total = np.bincount(nearest, weights=total, minlength=node_count)
-            area = np.bincount(nearest, weights=area, minlength=node_count)
+            total, area = (
+                np.bincount(nearest, weights=values, minlength=node_count).astype(float)
+                for values in (total, area)
+            )
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
 
 

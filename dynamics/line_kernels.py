@@ -126,7 +126,9 @@ def advance_active(coils: CoilArrays, begin: float, end: float, active: Any, pre
 
     Exact, whatever is switched in between; `previous` receives the forces before.
     """
-    row = max(0, np.searchsorted(coils.times, begin, side="right") - 1)
+    row = int(np.searchsorted(coils.times, begin, side="right")) - 1
+    if row < 0:
+        row = 0
     previous[:] = active
     at = begin
     while at < end:
