@@ -119,6 +119,8 @@ def read_quantity(
         raise InputError(f"{remedy}; got \"{text}\" (write the decimal point as '.')", where)
     try:
         factor = _factor(unit_text, unit)
+    except ImportError:
+        raise  # a broken installation is not a wrong unit
     except Exception as error:
         kind = type(error).__name__
         if kind == "DimensionalityError":

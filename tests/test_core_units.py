@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from flexapod.core import units
 from flexapod.core.errors import InputError
 from flexapod.core.units import read_quantity, unit_scale, write_quantity
 
@@ -80,3 +81,14 @@ def test_writes_what_people_write() -> None:
 
 def test_unit_scale() -> None:
     assert unit_scale("kPa", "Pa") == 1000.0
+
+
+def test_a_broken_installation_is_not_taken_for_a_wrong_unit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing() -> None:
+        raise ModuleNotFoundError("No module named 'platformdirs'")
+
+    monkeypatch.setattr(units, "_registry", missing)
+    with pytest.raises(ModuleNotFoundError, match="platformdirs"):
+        units.read_quantity("31.25 kPa", "Pa")
