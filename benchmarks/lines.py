@@ -1,20 +1,16 @@
 """Speed of a crawling ring on one core, over the number of nodes.
 
-    python benchmarks/lines.py
+    NUMBA_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lines.py
 
-The same second of `ring_crawl` with 16, 32, 64 and 128 nodes, after one interval that compiles. A large
-matrix product of the same process says how fast this core is today.
+The same second of `ring_crawl` with 16, 32, 64 and 128 nodes, after one interval that compiles. A
+large matrix product of the same process says how fast this core is today.
 """
 
 from __future__ import annotations
 
-import os
-
-for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import time
 
+import numba
 import numpy as np
 
 from flexapod.app.case import load_case
@@ -33,7 +29,7 @@ def product_rate(size: int = 1500) -> float:
 
 def main() -> None:
     """Print a table."""
-    print(f"one thread; matrix product {product_rate() / 1e9:.1f} Gflop/s")
+    print(f"{numba.get_num_threads()} thread; matrix product {product_rate() / 1e9:.1f} Gflop/s")
     print(f"{'nodes':>6} {'step':>9} {'of motion':>10} {'10 s of crawling':>17}")
     for nodes in (16, 32, 64, 128):
         motion = assemble_motion(

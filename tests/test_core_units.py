@@ -91,4 +91,4 @@ def test_a_broken_installation_is_not_taken_for_a_wrong_unit(
 
     monkeypatch.setattr(units, "_registry", missing)
     with pytest.raises(ModuleNotFoundError, match="platformdirs"):
-        units.read_quantity("31.25 kPa", "Pa")
+        units.read_quantity("31 daPa", "Pa")
