@@ -126,13 +126,12 @@ class Actuation:
         unknown = [name for name in start if name not in RING]
         if unknown:
             raise InputError(
-                f"first names {', '.join(unknown)}, which cannot move on: only A to H do",
+                f"it names {', '.join(unknown)}, which cannot move on: only A to H do",
                 "pattern.first",
             )
         if len(start) == len(RING):
             raise InputError(
-                "first names all eight coils, so no step would differ from the last: leave some "
-                "out",
+                "it names all eight coils, so no step would differ from the last: leave some out",
                 "pattern.first",
             )
         check_positive("interval", interval, "s", "pattern.interval")

@@ -338,16 +338,16 @@ def test_a_killed_motion_goes_on_to_the_same_bits(
     text += _dynamics("20 ms", "2 ms", "checkpoint = 3")
     loaded = load_case(str(_written(folder, HEAD + text)))
     run_case(loaded, folder / "whole")
-    record = motion_module._Recorder.record
+    record = motion_module.Recorder.record
 
     def stop(self: object, state: object) -> None:
         record(self, state)  # type: ignore[arg-type]
         if state.interval == 7:  # type: ignore[attr-defined]
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_module._Recorder, "record", stop)
+    monkeypatch.setattr(motion_module.Recorder, "record", stop)
     assert run_case(loaded, folder / "broken").status is Status.INTERRUPTED
-    monkeypatch.setattr(motion_module._Recorder, "record", record)
+    monkeypatch.setattr(motion_module.Recorder, "record", record)
     assert run_case(loaded, folder / "broken", resume=True).status is Status.DONE
     states = []
     for name in ("whole", "broken"):

@@ -93,9 +93,9 @@ TABLE = {"A": [["0 s", "50 ms"]]}
         ({"coils": {"flow_damping": "0 N s/m"}}, "coils.flow_damping: must be > 0, got 0"),
         ({"coils": {"flow": "some"}}, "coils.flow: must be 'full' or 'excess'; got 'some'"),
         ({"actuation": {}}, "actuation: write exactly one of pattern and table"),
-        ({"actuation": {"pattern": "BX"}}, "actuation.pattern: first names X, which cannot move"),
-        ({"actuation": {"pattern": "BI"}}, "actuation.pattern: first names I, which cannot move"),
-        ({"actuation": {"pattern": "ABCDEFGH"}}, "actuation.pattern: first names all eight coils"),
+        ({"actuation": {"pattern": "BX"}}, "actuation.pattern: it names X, which cannot move"),
+        ({"actuation": {"pattern": "BI"}}, "actuation.pattern: it names I, which cannot move"),
+        ({"actuation": {"pattern": "ABCDEFGH"}}, "actuation.pattern: it names all eight coils"),
         (
             {"actuation": {"pattern": "BF", "interval": "1 s"}},
             "actuation.interval: interval must be shorter than duration",
@@ -258,16 +258,16 @@ def test_a_broken_off_ring_goes_on_to_the_same_bits(
 ) -> None:
     loaded = _loaded()
     run_case(loaded, tmp_path / "whole")
-    record = motion_module._Recorder.record
+    record = motion_module.Recorder.record
 
     def stop(self: Any, state: Any) -> None:
         record(self, state)
         if state.interval == 7:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_module._Recorder, "record", stop)
+    monkeypatch.setattr(motion_module.Recorder, "record", stop)
     assert run_case(loaded, tmp_path / "r").status is Status.INTERRUPTED
-    monkeypatch.setattr(motion_module._Recorder, "record", record)
+    monkeypatch.setattr(motion_module.Recorder, "record", record)
     assert run_case(loaded, tmp_path / "r", resume=True).status is Status.DONE
     assert _rows(tmp_path / "r") == _rows(tmp_path / "whole")
 

@@ -149,7 +149,7 @@ def test_trials_are_motions_that_are_not_repeated(
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("search.patterns=['BX']", "with BX at 0 deg: actuation.pattern: first names X"),
+        ("search.patterns=['BX']", "with BX at 0 deg: actuation.pattern: it names X"),
         ("search.goal=threshold", 'patterns and jobs belong to goal = "climb"'),
         ("search.high=10 kg", "low, high and tolerance need one unit"),
         ("search.key=ring.mass", "search.key must begin with contact, gravity or dynamics"),

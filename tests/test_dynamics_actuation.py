@@ -131,11 +131,11 @@ def test_a_table_may_begin_late_switch_twice_and_touch() -> None:
 @pytest.mark.parametrize(
     ("other", "message"),
     [
-        ({"first": "BI"}, "pattern.first: first names I.*only A to H"),
-        ({"first": "Bf"}, "pattern.first: first names f.*only A to H"),
+        ({"first": "BI"}, "pattern.first: it names I.*only A to H"),
+        ({"first": "Bf"}, "pattern.first: it names f.*only A to H"),
         ({"first": "BFB"}, "pattern.first: first repeats B"),
         ({"first": ""}, "pattern.first: first is empty"),
-        ({"first": RING}, "pattern.first: first names all eight"),
+        ({"first": RING}, "pattern.first: it names all eight"),
         ({"letters": "ABCDEFGHH"}, "pattern.letters: letters repeats H"),
         ({"letters": "ABCDEFG"}, "pattern.letters: letters must be A to H"),
         ({"letters": "ABCDEFGHZ"}, "pattern.letters: letters must be A to H"),
