@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -209,6 +209,17 @@ def _solid(spec: RingSpec) -> _Body:
 # --------------------------------------------------------------------------- coils
 
 
+def _spread(end: np.ndarray, loops: Sequence[np.ndarray], reach: int) -> np.ndarray:
+    """An end's own node between those up to `reach` elements before and behind it in its loops."""
+    steps = np.arange(1, reach + 1)
+    before, behind = [], []
+    for loop in loops:
+        for place in np.flatnonzero(np.isin(loop, end)):
+            before.append(loop[(place - steps) % len(loop)])
+            behind.append(loop[(place + steps) % len(loop)])
+    return np.concatenate([*before, end, *behind])
+
+
 def _used_coils(loaded: LoadedCase, body: _Body) -> dict[str, list[str]]:
     """Coils of the robot, by the first of their names, with all of them.
 
@@ -248,8 +259,15 @@ def _make_coils(loaded: LoadedCase, body: _Body) -> tuple[Lines, Coils]:
 
     spec = loaded.case.coils
     assert spec is not None
+    assert loaded.case.ring is not None
     used = _used_coils(loaded, body)
-    ends = [body.ends[name] for name in used]
+    element = math.pi * loaded.case.ring.diameter / loaded.case.ring.nodes
+    reach = int(0.5 * spec.end_width / element + 1e-9)
+    loops = body.hinges.rings
+    ends = [
+        (_spread(one, loops, reach), _spread(two, loops, reach))
+        for one, two in (body.ends[name] for name in used)
+    ]
     length = [
         np.linalg.norm(body.nodes[two].mean(axis=0) - body.nodes[one].mean(axis=0))
         for one, two in ends

@@ -624,6 +624,8 @@ class Case(Table):
                 )
         if len(self.contact) > 1:
             raise ValueError("a ring touches one ground: write one contact")
+        if self.ring.shell == "solid" and self.coils is not None and self.coils.end_width > 0.0:
+            raise ValueError('coils.end_width: belongs to a ring of shell = "elements"')
         self._actuation_agrees()
 
     def _actuation_agrees(self) -> None:

@@ -16,6 +16,7 @@ from flexapod.core.units import (
     Density,
     Force,
     ForceRate,
+    Length,
     LineDamping,
     Mass,
     PositiveForce,
@@ -230,6 +231,11 @@ class CoilsSpec(Table):
         default=1.0,
         description="Length without force over the length in the round ring. Assumed: the paper's "
         "robot is round while nothing is switched on.",
+    )
+    end_width: Annotated[Length, NotNegative] = Field(
+        default=default_text("0 mm"),
+        description="Length of shell that a coil's end holds: it ends in the middle of the nodes "
+        "within half of that on either side. Assumed a point, since the paper does not say.",
     )
 
 

@@ -22,6 +22,7 @@ CHANGES = (
     *(f"ring.bend_stiffness={k}_N_m/rad" for k in (0.00075, 0.003)),
     "ring.bend_damping=10_ms",
     "ring.first_angle=22.5_deg",
+    *(f"coils.end_width={w}_mm" for w in (8, 16)),
     "coils.flow=excess",
     *(f"coils.flow_damping={c}_N_s/m" for c in (1, 100)),
     *(f"coils.limit={b}_mN" for b in (0, 8, 32)),

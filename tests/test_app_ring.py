@@ -115,6 +115,10 @@ TABLE = {"A": [["0 s", "50 ms"]]}
         ({"contact": 2 * RING["contact"]}, "a ring touches one ground"),
         ({"ring": None}, "mesh: required, but missing"),
         (
+            {"ring": {"shell": "solid"}, "coils": {"end_width": "8 mm"}},
+            'coils.end_width: belongs to a ring of shell = "elements"',
+        ),
+        (
             {"search": {"key": "contact.0.slope", "low": "0 deg", "high": "1 deg",
                         "tolerance": "1 deg", "distance": "1 mm", "patterns": ["BG"]}},
             'search: patterns and jobs belong to goal = "climb"',
@@ -172,6 +176,15 @@ def test_coils_are_those_the_drive_names() -> None:
     assert commands.on(0.015).tolist() == [True, *7 * [False], True]
     passive = _motion(actuation=None)
     assert not passive.model.lines.coils.actuation.states.any()  # type: ignore[union-attr]
+
+
+def test_a_coil_may_end_on_a_length_of_shell() -> None:
+    """8 mm: one element of 3.9 mm on either side; the hub's end stays one node."""
+    lines = _motion(coils={"end_width": "8 mm"}).model.lines
+    assert lines is not None
+    ends = {int(two[len(two) // 2]): two.tolist() for one, two in lines.lines.ends[32:]}
+    assert ends[0] == [31, 0, 1] and ends[8] == [7, 8, 9] and len(ends) == 8
+    assert all(len(one) == 1 for one, _ in lines.lines.ends[32:])
 
 
 def test_a_sphere_shares_the_coils_where_its_rings_cross() -> None:
