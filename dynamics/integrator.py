@@ -24,8 +24,7 @@ from flexapod.dynamics.contacts import (
     GroundContact,
     account,
 )
-from flexapod.dynamics.line_kernels import GroundArrays, NodeArrays
-from flexapod.dynamics.lines import pack_history
+from flexapod.dynamics.line_march import LineMarch
 from flexapod.dynamics.model import Model, State
 from flexapod.fem import kernels as fem_kernels
 
@@ -672,7 +671,7 @@ def march(
         the state is left as it was found.
     """
     stats = RunStats() if stats is None else stats
-    fast = _LineMarch(model, state, work) if _LineMarch.serves(model) else None
+    fast = LineMarch(model, state, work) if LineMarch.serves(model) else None
     work.clock = stats.clock
     work.clock.start()
     while state.interval < intervals:
@@ -701,12 +700,13 @@ def march(
                 if deeper and done < count:
                     break
                 if fast is not None and done < count:
-                    walked, deepest, deeper = fast.march(
-                        begin + done * dt, dt, count - done, allowed
-                    )
+                    walked, deepest, end = fast.march(begin + done * dt, dt, count - done, allowed)
+                    work.clock.lap(LINES)  # with its ground, kicks and drifts: it is one call
                     done += walked
                     stats.deepest = max(stats.deepest, deepest)
-                    if deeper:
+                    if end == line_kernels.TROUBLE:
+                        _name_trouble(model, state, begin + done * dt)
+                    if end == line_kernels.DEEPER:
                         break
             stats.steps += done
             begin += done * dt
@@ -719,94 +719,6 @@ def march(
             work.clock.lap(OUTPUT)
     work.clock = Clock()  # what is evaluated later is no part of this run
     return stats
-
-
-class _LineMarch:
-    """Many steps in one call, for a model of line elements with one ground at most."""
-
-    def __init__(self, model: Model, state: State, work: Workspace) -> None:
-        assert model.lines is not None
-        self.model, self.state, self.work = model, state, work
-        self.nodes = NodeArrays(
-            model.nodes,
-            model.mass,
-            model.own_mass,
-            model.owner,
-            model.fixed,
-            state.u,
-            state.x,
-            state.v,
-            work.elastic,
-            work.dissipative,
-            work.viscous,
-            work.total,
-            work.parts,
-        )
-        self.out = np.zeros(3)
-        contact = model.contacts[0] if model.contacts else None
-        self.contact = contact if isinstance(contact, GroundContact) else None
-        self.ground = self._ground()
-
-    @staticmethod
-    def serves(model: Model) -> bool:
-        """Whether nothing but line elements and one ground acts."""
-        if model.lines is None or model.body is not None or model.rigid.names:
-            return False
-        if model.chambers or model.bonds or len(model.contacts) > 1:
-            return False
-        return all(isinstance(contact, GroundContact) for contact in model.contacts)
-
-    def _ground(self) -> GroundArrays:
-        if self.contact is None:
-            none, nobody = np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
-            return GroundArrays(
-                np.zeros((0, 4), dtype=np.int64), none, 0, np.zeros(8), np.zeros((2, 2)),
-                (0.0,) * 10, 0.0, 0.0, 1.0, np.zeros((0, 4, 3)), nobody, nobody, np.zeros(1),
-                np.zeros(1), np.zeros(3), none, none, np.zeros(14),
-                np.zeros((0, 4), dtype=np.int64), none, *np.zeros((4, 0, 3)),
-            )  # fmt: skip
-        return self.contact.packed(self.state.histories[0])
-
-    def march(
-        self, begin: float, dt: float, count: int, allowed: list[float]
-    ) -> tuple[int, float, bool]:
-        """Steps done of `count`, the deepest point met [m], and whether it was too deep to go on.
-
-        None done leaves it to a single step to say what is wrong.
-        """
-        model, state, work = self.model, self.state, self.work
-        lines = model.lines
-        assert lines is not None
-        end = line_kernels.march(
-            begin,
-            dt,
-            count,
-            state.dt_before,
-            state.travel,
-            model.gravity,
-            model.damping.mass,
-            allowed[0] if allowed else math.inf,
-            self.nodes,
-            lines.arrays,
-            lines.coil_arrays,
-            lines.hinge_arrays,
-            pack_history(state.lines),
-            lines.active_before,
-            self.ground,
-            state.works,
-            work.sums,
-            self.out,
-        )
-        # With its ground, kicks and drifts: they are one call.
-        work.clock.lap(LINES)
-        done = int(self.out[0])
-        if done:
-            state.dt_before = dt
-        state.travel = float(self.out[1])
-        state.step_count += done
-        if end == line_kernels.TROUBLE:
-            _name_trouble(model, state, begin + done * dt)
-        return done, float(self.out[2]), end == line_kernels.DEEPER
 
 
 def _name_trouble(model: Model, state: State, time: float) -> None:

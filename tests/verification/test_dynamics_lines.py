@@ -265,7 +265,7 @@ def test_walking_through_an_interval_is_a_row_of_single_steps(
     The first roll of a crawling ring, in which points land, slide, stick and leave.
     """
     fast, _ = run(crawler(), 1.2, 0.02)
-    monkeypatch.setattr(integrator._LineMarch, "serves", staticmethod(lambda model: False))
+    monkeypatch.setattr(integrator.LineMarch, "serves", staticmethod(lambda model: False))
     slow, _ = run(crawler(), 1.2, 0.02)
     assert fast.step_count == slow.step_count
     assert np.abs(fast.x - crawler().nodes).max() > 1e-3
