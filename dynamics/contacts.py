@@ -165,6 +165,22 @@ class GroundContact:
         shape = (len(self.curve_nodes), 3)
         self._points = tuple(np.zeros(shape) for _ in range(4))  # x, v, elastic, dissipative
 
+    def _coefficients(self) -> tuple[float, ...]:
+        """Of the law and the friction, in the order of `ground_kernels.ground_contact`."""
+        law, friction = self.law, self.ground.friction
+        return (
+            law.traction_coefficient,
+            law.stiffness_exponent,
+            law.damping_coefficient,
+            law.damping_exponent,
+            law.indentation_exponent,
+            friction.static,
+            friction.dynamic,
+            friction.static_speed,
+            friction.dynamic_speed,
+            law.stick_stiffness,
+        )
+
     def _at_points(self, values: np.ndarray, which: int) -> np.ndarray:
         """`values` (node_count, 3) at what touches."""
         if not len(self.curve_nodes):
@@ -222,7 +238,6 @@ class GroundContact:
         dissipative: np.ndarray,
     ) -> None:
         """See `DynamicContact`."""
-        law, friction = self.law, self.ground.friction
         on_nodes = elastic, dissipative
         curved = len(self.curve_nodes) > 0
         if curved:
@@ -239,16 +254,7 @@ class GroundContact:
             self._kind,
             self._params,
             self._heights,
-            law.traction_coefficient,
-            law.stiffness_exponent,
-            law.damping_coefficient,
-            law.damping_exponent,
-            law.indentation_exponent,
-            friction.static,
-            friction.dynamic,
-            friction.static_speed,
-            friction.dynamic_speed,
-            law.stick_stiffness,
+            *self._coefficients(),
             history["anchor"],
             elastic,
             dissipative,
@@ -282,25 +288,13 @@ class GroundContact:
 
     def packed(self, history: History) -> GroundArrays:
         """For the kernel that walks through many steps; arrays are shared."""
-        law, friction = self.law, self.ground.friction
         return GroundArrays(
             self.faces,
             self.areas,
             self._kind,
             self._params,
             self._heights,
-            (
-                law.traction_coefficient,
-                law.stiffness_exponent,
-                law.damping_coefficient,
-                law.damping_exponent,
-                law.indentation_exponent,
-                friction.static,
-                friction.dynamic,
-                friction.static_speed,
-                friction.dynamic_speed,
-                law.stick_stiffness,
-            ),
+            self._coefficients(),
             self.skin,
             self.deepest,
             self.reach,
