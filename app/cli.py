@@ -147,7 +147,7 @@ def run_command(
         _print_summary(result.summary)
     if result.status is not Status.DONE:
         kept = result.summary["results"]["states"]
-        _say(f"{result.message}\nkept: {kept} states in {folder} (curve.csv, fields.pvd); go on "
+        _say(f"{result.message}\nkept: {kept} states in {folder} (curve.csv, *.pvd); go on "
              "with --resume")  # fmt: skip
         interrupted = result.status is Status.INTERRUPTED
         raise typer.Exit(EXIT_INTERRUPTED if interrupted else EXIT_SOLVER)

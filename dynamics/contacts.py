@@ -205,23 +205,7 @@ class GroundContact:
         return history
 
     def _search(self, x: np.ndarray, history: History) -> None:
-        active = history["active"]
-        count = ground_kernels.near_faces(
-            self._at_points(x, 0),
-            self.faces,
-            self._kind,
-            self._params,
-            self._heights,
-            self.skin,
-            active,
-        )
-        history["count"][0] = count
-        history["way"][0] = 0.0
-        gone = np.ones(self.faces.shape[0], dtype=bool)
-        gone[active[:count]] = False
-        history["anchor"][gone] = np.nan
-        history["pressure"][gone] = 0.0
-        self.shear[gone] = 0.0
+        line_kernels.search_ground(self._at_points(x, 0), self.packed(history))
 
     def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
         """See `DynamicContact`: a face out of the skin cannot arrive before it has crossed it."""

@@ -593,7 +593,7 @@ def march(
 
 @kernel
 def search_ground(x: Any, ground: GroundArrays) -> None:
-    """Find the faces near the ground anew, as `contacts.GroundContact` does."""
+    """Find the faces near the ground anew; those that left it lose anchors and tractions."""
     count = near_faces(
         x, ground.faces, ground.kind, ground.params, ground.heights, ground.skin, ground.active
     )
