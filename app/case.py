@@ -62,7 +62,7 @@ class LoadedCase:
         for contact in table.get("contact", []):
             if contact.get("file"):
                 contact["file"] = str(self.path(contact["file"]).resolve())
-        if self.case.start is not None:
+        if self.case.start is not None and self.case.start.case is not None:
             name = start_case({"start": table["start"]}, Path(self.source))
             table["start"]["case"] = name
         if self.case.reference is not None and self.case.reference.file is not None:
@@ -122,11 +122,42 @@ def load_case(name: str, settings: Sequence[str] = ()) -> LoadedCase:
         raise InputError(f"not valid TOML: {error}", str(path)) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", str(path)) from None
+    table = _extended(table, path)
     _inherit(table, path)
     for setting in settings:
         apply_setting(table, setting)
     case = parse_case(table, str(path))
     return LoadedCase(case, str(path), path.resolve().parent)
+
+
+def _extended(table: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The table laid over the case it names as `extends`; lists of tables are taken whole."""
+    name = table.pop("extends", None)
+    if name is None:
+        return table
+    if not isinstance(name, str):
+        raise InputError(f"must be the name of a case, got {name!r}", f"{path}: extends")
+    beside = path.resolve().parent / name
+    other = find_case(str(beside) if beside.is_file() else name)
+    if other.resolve() == path.resolve():
+        raise InputError("a case cannot extend itself", f"{path}: extends")
+    try:
+        source = tomllib.loads(other.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, OSError, UnicodeDecodeError) as error:
+        raise InputError(f"extends: {other} cannot be read: {error}", str(path)) from None
+    if "extends" in source:
+        raise InputError(f"{other} extends another case itself", f"{path}: extends")
+    return _laid_over(source, table)
+
+
+def _laid_over(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    both = dict(base)
+    for key, value in table.items():
+        below = both.get(key)
+        # A table with a type of its own is another kind of thing, and takes nothing over.
+        deep = isinstance(value, dict) and isinstance(below, dict) and "type" not in value
+        both[key] = _laid_over(below, value) if deep else value  # type: ignore[arg-type]
+    return both
 
 
 def start_case(table: Mapping[str, Any], path: Path) -> str | None:

@@ -14,6 +14,7 @@ from flexapod.app.case import LoadedCase, package_version
 from flexapod.app.motion_flight import flight_results
 from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape, uphill
 from flexapod.app.motion_recorder import MotionFolder, Recorder
+from flexapod.app.motion_robot import robot_results
 from flexapod.app.outputs import CHECKPOINT_FILE, peak_memory
 from flexapod.core.errors import SolverError, Status
 
@@ -162,12 +163,25 @@ def _results(recorder: Recorder, motion: Motion) -> dict[str, Any]:
         changes = [
             abs(row[head] - rows[0][head])
             for row in rows
-            for head in ("kinetic_J", "strain_J", "weight_J", "pressure_work_J", "lines_J")
+            for head in (
+                "kinetic_J",
+                "strain_J",
+                "weight_J",
+                "pressure_work_J",
+                "lines_J",
+                "servo_work_J",
+            )
             if head in row
         ]
         results["energy_balance_of_changes"] = worst / max(*changes, 1e-300)
         if motion.ring is not None:
             results.update(flight_results(rows, motion.mass))
+        if motion.robot is not None:
+            gait = recorder.loaded.case.gait
+            assert gait is not None
+            gravity = float(np.linalg.norm(motion.model.gravity))
+            period = getattr(gait.gait(), "period", None)
+            results.update(robot_results(rows, motion.mass, gravity, period))
     results["mass_kg"] = motion.mass
     results["scaled_mass_kg"] = motion.model.scaled_mass
     results["steps"] = motion.state.step_count

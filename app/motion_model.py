@@ -27,6 +27,7 @@ from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
     from flexapod.app.motion_ring import RingParts
+    from flexapod.app.motion_robot import RobotParts, Torso
     from flexapod.dynamics.commands import Chamber
     from flexapod.dynamics.contacts import History
     from flexapod.dynamics.integrator import Workspace
@@ -51,6 +52,7 @@ class Motion:
     shape: Shape  # before it was turned and set down
     rigid: RigidParts
     ring: RingParts | None = None
+    robot: RobotParts | None = None
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -88,7 +90,7 @@ def start_shape(
     case was run to its end before.
     """
     spec = loaded.case.start
-    if spec is None:
+    if spec is None or spec.case is None or _rigid_bodied(loaded):
         return None
     from flexapod.app.outputs import same_case
     from flexapod.app.run import resolve, run_case
@@ -153,7 +155,15 @@ def assemble_motion(
         from flexapod.app.motion_ring import ring_motion
 
         return ring_motion(loaded)
-    mesh = build_mesh(loaded)
+    torso: Torso | None = None
+    if _rigid_bodied(loaded):
+        from flexapod.app.motion_robot import rigid_torso
+
+        torso = rigid_torso(loaded)
+        loaded, mesh, start = torso.loaded, torso.mesh, None
+        case = loaded.case
+    else:
+        mesh = build_mesh(loaded)
     part = SolidBody(mesh, make_materials(loaded, mesh))
     carried = carried_mass(loaded, mesh, part)
     u = np.zeros_like(mesh.nodes) if start is None else start[1]
@@ -178,8 +188,22 @@ def assemble_motion(
             f"{source}: material",
         )
     spec, spec_start = case.dynamics, case.start
+    assert spec is not None
     supports = make_supports(loaded, mesh)
-    rigid = make_rigid(loaded, mesh, body, carried, supports)
+    legs = None
+    if case.robot is not None:
+        from flexapod.app import motion_robot
+
+        if torso is None:
+            loaded = motion_robot.with_rigid_stations(loaded, mesh)
+            legs = motion_robot.make_legs(loaded, mesh)
+            more = legs.bodies
+        else:
+            legs = motion_robot.make_legs(loaded, torso.stations, motion_robot.TORSO)
+            more = motion_robot.torso_rigid(torso, legs)
+        rigid = make_rigid(loaded, mesh, body, carried, supports, more)
+    else:
+        rigid = make_rigid(loaded, mesh, body, carried, supports)
     ground, contacts = make_contacts(loaded, mesh, body, rigid)
     gravity = case.gravity.tilted() if case.gravity is not None else (0.0, 0.0, 0.0)
     model = Model(
@@ -187,6 +211,7 @@ def assemble_motion(
         rigid=rigid.bodies,
         rigid_centres=rigid.centres,
         rigid_nodes=(rigid.nodes, rigid.owner),
+        joints=None if legs is None else motion_robot.make_joints(loaded, legs, rigid),
         tied=rigid.tied,
         carried_mass=carried,
         displacements=supports,
@@ -208,7 +233,7 @@ def assemble_motion(
     shape = Shape(u, {})
     if settled is not None:
         shape = settled
-    elif settle and spec_start is not None and spec_start.settle > 0.0:
+    elif settle and start is not None and spec_start is not None and spec_start.settle > 0.0:
         shape = _settle(model, u, spec_start, rigid, [bond.closed for bond in case.bond], say)
     for bond, shut in zip(model.bonds, case.bond, strict=True):
         if shut.closed:
@@ -228,7 +253,10 @@ def assemble_motion(
     set_in_motion(model, state, rigid)
     free = model.owner < 0
     total = float(model.own_mass[free].sum() + model.rigid.mass.sum())
-    return Motion(mesh, body, model, state, work, ground, total, shape, rigid)
+    robot = None
+    if case.robot is not None:
+        robot = motion_robot.RobotParts(model, rigid, case.robot.marker)
+    return Motion(mesh, body, model, state, work, ground, total, shape, rigid, robot=robot)
 
 
 def _settle(
@@ -305,6 +333,10 @@ def _sink_in(
     state.begin_anew()
 
 
+def _rigid_bodied(loaded: LoadedCase) -> bool:
+    return loaded.case.robot is not None and loaded.case.robot.body == "rigid"
+
+
 # Share of a settling time in which what disturbs the body is eased on.
 DRAW_SHARE = 0.6
 
@@ -317,6 +349,10 @@ def _at_rest(model: Model, spec: StartSpec) -> Model:
     still.damping = Damping(mass=spec.settle_damping)
     still.chambers = [_held(chamber) for chamber in model.chambers]
     still.cavities = [None for _ in model.chambers]
+    if model.joints is not None:
+        from flexapod.app.motion_robot import held_joints
+
+        still.joints = held_joints(model.joints)
     return still
 
 
@@ -371,7 +407,7 @@ def restore_scaled(model: Model, work: Workspace, arrays: dict[str, np.ndarray])
         model.mass = arrays.pop("scaled.mass")
         model.element_mass = arrays.pop("scaled.element_mass")
         model.scaled_mass = float(arrays.pop("scaled.added")[0])
-        work.inverse_mass = 1.0 / model.mass
+        work.inverse_mass = model.inverse_mass()
 
 
 def centre(model: Model, state: State) -> np.ndarray:

@@ -110,10 +110,20 @@ def make_chambers(loaded: LoadedCase, mesh: TaggedMesh, part: float) -> list[Cha
     from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
 
     chambers = []
-    begun = 0.0 if loaded.case.start is None else 1.0
+    start = loaded.case.start
+    begun = 0.0 if start is None or start.case is None else 1.0
     for spec in loaded.case.pressure:
         where = f"{loaded.source}: pressure.{spec.name}.surface"
         faces = np.ascontiguousarray(surface_faces(mesh, spec.surface, where), dtype=np.int64)
+        if spec.between is not None:
+            x = mesh.nodes[faces, 0].mean(axis=1)
+            faces = faces[(x > min(spec.between)) & (x < max(spec.between))]
+            if not len(faces):
+                raise InputError(
+                    "no face lies there; the surface's lie between "
+                    f"{1e3 * x.min():.4g} and {1e3 * x.max():.4g} mm",
+                    f"{loaded.source}: pressure.{spec.name}.between",
+                )
         points = spec.over_time or ((0.0, 1.0),)
         times = tuple(float(t) for t, _ in points)
         factors = [float(f) for _, f in points]

@@ -63,6 +63,7 @@ class Recorder:
         self.every = max(1, round(self.intervals / spec.frames))
         self.largest_energy = 0.0
         self.turn = 0.0
+        self.yaw = 0.0
         self.centre_start: np.ndarray | None = None
         self.weight_start: float | None = None
         # Every so many nodes: two hundred tell the turn of the whole.
@@ -99,12 +100,17 @@ class Recorder:
         if self.motion.ring is not None:
             row.update(self.motion.ring.columns(model, state))
             names.append("hub")
+        if self.motion.robot is not None:
+            row.update(self.motion.robot.columns(model, state))
+            names.append("marker")
         for name in ("centre", *names):
             speed, acceleration = _differences(self.folder.rows, row, name)
             if name != "centre":
                 row[f"{name}_speed_m_s"] = speed
             row[f"{name}_acceleration_m_s2"] = acceleration
         row["turn_deg"] = self._turned()
+        if self.motion.robot is not None:
+            row["yaw_deg"] = self.yaw
         row.update(self.tracks.columns(state))
         for name in (
             "kinetic", "strain", "weight", "contact", "bond", "pressure_work", "contact_loss",
@@ -115,6 +121,10 @@ class Recorder:
             row["lines_J"] = energies.lines
             row["coil_work_J"] = energies.coil_work
             row["rheology_loss_J"] = energies.line_loss
+        if model.joints is not None:
+            row["joints_J"] = energies.joints
+            row["servo_work_J"] = energies.servo_work
+            row["joint_loss_J"] = energies.joint_loss
         for contact, history in zip(model.contacts, state.histories, strict=True):
             totals, spent = contact.totals, history["spent"]
             row[f"{contact.name}_force_N"] = contact.pressing()
@@ -137,8 +147,10 @@ class Recorder:
         x = self.motion.state.x[self.sample]
         if self.sample_start is None:
             self.sample_start = x.copy()
-        angle = angle_about(best_rotation(self.sample_start, x), "y")
-        self.turn = unwrap(angle, self.turn)
+        rotation = best_rotation(self.sample_start, x)
+        self.turn = unwrap(angle_about(rotation, "y"), self.turn)
+        # Where the body's x axis points on the map, positive to the left.
+        self.yaw = unwrap(math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])), self.yaw)
         return self.turn
 
     def record(self, state: State) -> None:
@@ -156,6 +168,7 @@ class Recorder:
             abs(energies.pressure_work),
             energies.lines,
             abs(energies.coil_work),
+            abs(energies.servo_work),
         )
         row = self.row(energies)
         if self.centre_start is None:
@@ -200,6 +213,7 @@ class Recorder:
         extra = {
             "previous": self.previous,
             "turn": self.turn,
+            "yaw": self.yaw,
             "largest_energy": self.largest_energy,
             "weight_start": self.weight_start,
             "stats": asdict(self.stats),
@@ -238,6 +252,7 @@ class Recorder:
         self.tracks.restore(arrays)
         self.previous.update(extra["previous"])
         self.turn = extra["turn"]
+        self.yaw = extra["yaw"]
         self.largest_energy = extra["largest_energy"]
         self.weight_start = extra["weight_start"]
         kept_stats = extra["stats"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +41,8 @@ class RigidParts:
     surfaces
         Faces of the bodies with a shape, by name, in the numbers of all nodes, shape
         (face_count, 4).
+    touching
+        Those of them that meet others, where it is not all.
     moduli
         Young's modulus of each [Pa] for contact, infinite if rigid.
     middle
@@ -49,6 +51,8 @@ class RigidParts:
         At the start [m/s, rad/s], shape (body_count, 3).
     first
         Number of the surfaces' first node among all: how many the mesh has.
+    jointed
+        Bodies that hang on others by joints.
     """
 
     bodies: RigidBodies
@@ -57,16 +61,19 @@ class RigidParts:
     nodes: np.ndarray
     owner: np.ndarray
     surfaces: dict[str, np.ndarray]
+    touching: dict[str, np.ndarray]
     moduli: dict[str, float]
     middle: np.ndarray
     velocity: np.ndarray
     spin: np.ndarray
     first: int
+    jointed: tuple[str, ...] = ()
 
     @property
     def loose(self) -> np.ndarray:
-        """Which bodies carry no node of the mesh, shape (body_count,)."""
-        return np.array([name not in self.tied for name in self.bodies.names], dtype=bool)
+        """Which bodies go their own way: no mesh's and no joint's, shape (body_count,)."""
+        kept = (*self.tied, *self.jointed)
+        return np.array([name not in kept for name in self.bodies.names], dtype=bool)
 
     def all_nodes(self, mesh: TaggedMesh) -> np.ndarray:
         """Reference positions of the mesh's and the surfaces' nodes [m]."""
@@ -98,15 +105,25 @@ class RigidParts:
 
 
 @dataclasses.dataclass
-class _Body:
-    """One body on its way into `RigidParts`."""
+class RigidBody:
+    """One body on its way into `RigidParts`.
+
+    `surface` is about `middle` from the centre of mass; `touching` are faces in its numbers;
+    `tied` are mesh nodes it carries whose mass is in its own already.
+    """
 
     mass: float
     centre: np.ndarray
     inertia: np.ndarray
     middle: np.ndarray
-    spec: RigidSpec
     surface: RigidSurface | None = None
+    touching: np.ndarray | None = None
+    modulus: float | None = None
+    velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    spin: Sequence[float] = (0.0, 0.0, 0.0)
+    hold: Sequence[str] = ()
+    jointed: bool = False
+    tied: np.ndarray | None = None
 
 
 def no_rigid(first: int) -> RigidParts:
@@ -115,17 +132,24 @@ def no_rigid(first: int) -> RigidParts:
 
     none = np.zeros((0, 3))
     owner = np.zeros(0, dtype=np.int32)
-    return RigidParts(RigidBodies.empty(), none, {}, none, owner, {}, {}, none, none, none, first)
+    return RigidParts(
+        RigidBodies.empty(), none, {}, none, owner, {}, {}, {}, none, none, none, first
+    )
 
 
 def make_rigid(
-    loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, carried: np.ndarray, supports: Any
+    loaded: LoadedCase,
+    mesh: TaggedMesh,
+    body: SolidBody,
+    carried: np.ndarray,
+    supports: Any,
+    more: Mapping[str, RigidBody] | None = None,
 ) -> RigidParts:
-    """One rigid body per cell group, with the mass its nodes carry, and per shape."""
+    """One rigid body per cell group, with the mass its nodes carry, per shape, and `more`."""
     from flexapod.dynamics.rigid import RigidBodies
 
     nodal = body.node_mass + carried
-    made: dict[str, _Body] = {}
+    made: dict[str, RigidBody] = {}
     tied: dict[str, np.ndarray] = {}
     for index, spec in enumerate(loaded.case.rigid):
         where = f"{loaded.source}: rigid.{spec.name or index}"
@@ -134,7 +158,7 @@ def make_rigid(
                 nodes = np.unique(mesh.cells[group_cells(mesh, name, f"{where}.group")])
                 # Point masses at the nodes: what the lumped mesh itself has, carried mass
                 # included, and so also what surrounding silicone lumps onto the surface.
-                _add(made, name, _Body(*_together(nodal[nodes], mesh.nodes[nodes]), spec), where)
+                _add(made, name, RigidBody(*together(nodal[nodes], mesh.nodes[nodes])), where)
                 tied[name] = nodes
             continue
         assert spec.name is not None
@@ -143,10 +167,14 @@ def make_rigid(
             nodes = _tied_nodes(mesh, spec.tied, f"{where}.tied")
             tied[spec.name] = nodes
             _carry(made[spec.name], nodal[nodes], mesh.nodes[nodes])
+    for name, one in (more or {}).items():
+        _add(made, name, one, loaded.source)
+        if one.tied is not None:
+            tied[name] = one.tied
     count = len(made)
     free = np.ones((count, 6), dtype=bool)
     for row, (name, one) in enumerate(made.items()):
-        for way in one.spec.hold or ():
+        for way in one.hold:
             free[row, "xyz".index(way[-1]) + (3 if way.startswith("turn") else 0)] = False
         for part in supports:
             if name in tied and np.intersect1d(part.node_index, tied[name]).size:
@@ -162,28 +190,29 @@ def make_rigid(
     return _collect(bodies, made, tied, len(mesh.nodes))
 
 
-def _add(made: dict[str, _Body], name: str, one: _Body, where: str) -> None:
+def _add(made: dict[str, RigidBody], name: str, one: RigidBody, where: str) -> None:
     if name in made:
         raise InputError(f'there is a rigid body "{name}" already; names must differ', where)
     made[name] = one
 
 
 def _collect(
-    bodies: RigidBodies, made: dict[str, _Body], tied: dict[str, np.ndarray], mesh_nodes: int
+    bodies: RigidBodies, made: dict[str, RigidBody], tied: dict[str, np.ndarray], mesh_nodes: int
 ) -> RigidParts:
     first = mesh_nodes
-    nodes, owner, surfaces, moduli = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int32)], {}, {}
+    nodes, owner = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int32)]
+    surfaces, touching, moduli = {}, {}, {}
     for row, (name, one) in enumerate(made.items()):
         if one.surface is None:
             continue
         surfaces[name] = one.surface.faces + first
+        if one.touching is not None:
+            touching[name] = one.touching + first
         first += len(one.surface.nodes)
         nodes.append(one.surface.nodes + one.centre + one.middle)
         owner.append(np.full(len(one.surface.nodes), row, dtype=np.int32))
-        modulus = one.spec.youngs_modulus
-        moduli[name] = math.inf if modulus is None else modulus
+        moduli[name] = math.inf if one.modulus is None else one.modulus
     rows = list(made.values())
-    rest = (0.0, 0.0, 0.0)
     return RigidParts(
         bodies,
         np.array([one.centre for one in rows]).reshape(-1, 3),
@@ -191,11 +220,13 @@ def _collect(
         np.concatenate(nodes),
         np.concatenate(owner),
         surfaces,
+        touching,
         moduli,
         np.array([one.middle for one in rows]).reshape(-1, 3),
-        np.array([one.spec.velocity or rest for one in rows]).reshape(-1, 3),
-        np.array([one.spec.spin or rest for one in rows]).reshape(-1, 3),
+        np.array([one.velocity for one in rows]).reshape(-1, 3),
+        np.array([one.spin for one in rows]).reshape(-1, 3),
         mesh_nodes,
+        tuple(name for name, one in made.items() if one.jointed),
     )
 
 
@@ -206,13 +237,13 @@ def _inertia(mass: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return np.asarray((mass[:, None, None] * part).sum(axis=0))
 
 
-def _together(mass: np.ndarray, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+def together(mass: np.ndarray, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Mass, centre, inertia and no offset of point masses."""
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()
     return mass.sum(), centre, _inertia(mass, x - centre), np.zeros(3)
 
 
-def _carry(one: _Body, mass: np.ndarray, x: np.ndarray) -> None:
+def _carry(one: RigidBody, mass: np.ndarray, x: np.ndarray) -> None:
     """Give a body the point masses of the nodes it carries."""
     total = one.mass + mass.sum()
     centre = (one.mass * one.centre + (mass[:, None] * x).sum(axis=0)) / total
@@ -222,7 +253,7 @@ def _carry(one: _Body, mass: np.ndarray, x: np.ndarray) -> None:
     one.mass, one.centre = float(total), centre
 
 
-def _shaped(spec: RigidSpec, where: str) -> _Body:
+def _shaped(spec: RigidSpec, where: str) -> RigidBody:
     """A body with a shape, turned, at its place: closed forms for what it weighs."""
     from flexapod.dynamics.rigid import box, cylinder, sphere
     from flexapod.geometry.rigid_shapes import (
@@ -252,13 +283,16 @@ def _shaped(spec: RigidSpec, where: str) -> _Body:
     turn = _rotation(spec.turn or 0.0, spec.turn_axis or (0.0, 1.0, 0.0))
     inertia = density * turn @ unit[1] @ turn.T
     surface = RigidSurface(surface.nodes @ turn.T, surface.faces)
-    return _Body(
+    return RigidBody(
         density * unit[0],
         np.array(spec.position),
         0.5 * (inertia + inertia.T),
         np.zeros(3),
-        spec,
         surface,
+        modulus=spec.youngs_modulus,
+        velocity=spec.velocity or (0.0, 0.0, 0.0),
+        spin=spec.spin or (0.0, 0.0, 0.0),
+        hold=spec.hold or (),
     )
 
 
@@ -312,7 +346,7 @@ def contact_surface(
             raise InputError(
                 f'no rigid body with a shape is called "{pattern}"; there is: {listed}', where
             )
-        faces += [rigid.surfaces[name] for name in names]
+        faces += [rigid.touching.get(name, rigid.surfaces[name]) for name in names]
         moduli += [rigid.moduli[name] for name in names]
     together = np.concatenate(faces)
     _, first = np.unique(np.sort(together, axis=1), axis=0, return_index=True)
@@ -380,6 +414,7 @@ class RigidTracks:
     def __init__(self, model: Model, rigid: RigidParts) -> None:
         self.model = model
         self.middle = rigid.middle
+        self.jointed = rigid.jointed  # their angles say it shorter
         self.turn = np.zeros((len(rigid.bodies.names), 3))  # [deg]
         self.frames: np.ndarray | None = None
 
@@ -394,6 +429,8 @@ class RigidTracks:
                 self.turn[k] += np.degrees(rotation_vector(now @ before.T))
         self.frames = frames
         for k, name in enumerate(self.model.rigid.names):
+            if name in self.jointed:
+                continue
             for i, axis in enumerate("xyz"):
                 row[f"rigid_{name}_{axis}_mm"] = 1000.0 * float(x[k, i])
             row[f"rigid_{name}_speed_m_s"] = float(np.linalg.norm(v[k]))
@@ -431,6 +468,7 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
 
 
 __all__ = [
+    "RigidBody",
     "RigidParts",
     "RigidTracks",
     "contact_surface",
@@ -438,4 +476,5 @@ __all__ = [
     "no_rigid",
     "rotation_vector",
     "set_in_motion",
+    "together",
 ]

@@ -33,6 +33,7 @@ from flexapod.app.plots_frames import (
     read_frames,
 )
 from flexapod.app.plots_ground import EDGE, draw_ground, ground_profile, read_grounds
+from flexapod.app.plots_legs import leg_names, plot_legs
 from flexapod.app.plots_line_frames import (
     plot_line_animation,
     plot_line_final,
@@ -197,6 +198,8 @@ def plot_energy(results: Results, path: Path) -> None:
         (f"losses ({lost})" if lost else "losses"): since_start(*losses),
         "shell and coils, since start": since_start("lines"),
         "coils' work": since_start("coil_work"),
+        "rotors and joints": since_start("joints"),
+        "servos' work": since_start("servo_work"),
     }
     unaccounted = columns["unaccounted_J"]
     change = max(float(np.nanmax(np.abs(values))) for values in curves.values())
@@ -204,9 +207,9 @@ def plot_energy(results: Results, path: Path) -> None:
 
     figure = new_figure(8.4, 5.4)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3.2, 1.0])
-    for (name, values), colour in zip(curves.items(), _COLOURS, strict=False):
-        if name == "kinetic" or np.nanmax(np.abs(values)) > 0.0:
-            _line(upper, time, factor * values, color=colour, label=name)
+    there = [n for n, v in curves.items() if n == "kinetic" or np.nanmax(np.abs(v)) > 0.0]
+    for name, colour in zip(there, _COLOURS * 2, strict=False):
+        _line(upper, time, factor * curves[name], color=colour, label=name)
     upper.axhline(0.0, color=EDGE, lw=0.7)
     upper.set_ylabel(f"energy [{unit}]")
     _tidy(upper)
@@ -219,7 +222,13 @@ def plot_energy(results: Results, path: Path) -> None:
         float(np.nanmax(columns.get("lines_J", np.zeros(1)))),
         *(
             float(np.nanmax(np.abs(curves[n])))
-            for n in ("kinetic", "weight, since start", "pressure's work", "coils' work")
+            for n in (
+                "kinetic",
+                "weight, since start",
+                "pressure's work",
+                "coils' work",
+                "servos' work",
+            )
         ),
     )
     factor, unit = _scaled(worst)
@@ -313,8 +322,8 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
 
     ``curve.png`` (ways over the ground, speed, turn), ``energy.png`` (the ledger), ``contact.png``
     (force, area, penetration and losses of each contact), where coils are switched
-    ``voltage.png``, and where fields or lines were written ``snapshots.png`` (a strip),
-    ``final.png`` and ``animation.gif``.
+    ``voltage.png``, of a robot's legs ``legs.png``, and where fields or lines were written
+    ``snapshots.png`` (a strip), ``final.png`` and ``animation.gif``.
     """
     notices: list[str] = []
     written: list[Path] = []
@@ -335,6 +344,9 @@ def draw_motion(results: Results) -> tuple[list[Path], list[str]]:
     if "actuation" in results.case:
         plot_case_voltage(results, target / "voltage.png")
         written.append(target / "voltage.png")
+    if leg_names(results):
+        plot_legs(results, target / "legs.png")
+        written.append(target / "legs.png")
     lines = read_line_frames(results)
     if lines is not None:
         if not lines.plane and (notice := renderer()[1]):

@@ -19,8 +19,10 @@ from flexapod.app.spec_dynamics import (
     SearchSpec,
     StartSpec,
 )
+from flexapod.app.spec_gait import GaitSpec
 from flexapod.app.spec_rigid import RigidSpec
 from flexapod.app.spec_ring import SHELL, ActuationSpec, CoilsSpec, RingSpec
+from flexapod.app.spec_robot import SIZES, RobotSpec
 from flexapod.app.spec_sweep import SweepSpec
 from flexapod.core.units import (
     Acceleration,
@@ -227,6 +229,11 @@ class PressureSpec(_NamedLoad):
     """Air pressure that follows the surface it pushes on."""
 
     value: Pressure
+    between: tuple[Length, Length] | None = Field(
+        default=None,
+        description="Only faces whose middle lies between these two x, in the undeformed body: "
+        "the chambers of its front half, for example.",
+    )
     over_time: tuple[tuple[Time, float], ...] | None = Field(
         default=None,
         description="Motion only: pairs of time and factor of the value, straight lines between; "
@@ -510,7 +517,25 @@ class Case(Table):
     bond: tuple[BondSpec, ...] = ()
     search: SearchSpec | None = None
     sweep: SweepSpec | None = None
+    robot: RobotSpec | None = Field(
+        default=None, description="Legs and servos of the body; it needs [gait] and [dynamics]."
+    )
+    gait: GaitSpec | None = Field(default=None, description="What a robot's legs do.")
     resolved: ResolvedSpec | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_robot_has_its_mesh(cls, data: Any) -> Any:
+        """The mesh is as fine as the robot's body asks for, where [mesh] does not say."""
+        if not isinstance(data, dict):
+            return data
+        robot, mesh = data.get("robot"), data.get("mesh")
+        if not (isinstance(robot, dict) and isinstance(mesh, dict)):
+            return data
+        size = SIZES.get(robot.get("body", "coarse"))
+        if "builder" not in mesh or "size" in mesh or size is None:
+            return data
+        return {**data, "mesh": {**mesh, "size": size}}
 
     @model_validator(mode="before")
     @classmethod
@@ -602,6 +627,7 @@ class Case(Table):
             "support": self.support,
             "pressure": self.pressure,
             "rigid": self.rigid,
+            "robot": self.robot,
             "bond": self.bond,
             "probe": self.probe,
             **{
@@ -656,6 +682,7 @@ class Case(Table):
                 "bond": self.bond,
                 "search": self.search,
                 "sweep": self.sweep,
+                "robot": self.robot,
                 'contact of type "ground"': [c for c in self.contact if c.type == "ground"],
                 **{
                     f"{key} of a contact between faces": [
@@ -675,6 +702,8 @@ class Case(Table):
             if stray:
                 raise ValueError(f"only a case with [dynamics] has {', '.join(stray)}")
             return
+        if (self.robot is None) != (self.gait is None):
+            raise ValueError("robot and gait: a robot needs a gait, and a gait a robot")
         if self.search is not None and self.sweep is not None:
             raise ValueError("search and sweep: a case has one of them")
         still = {

@@ -83,7 +83,11 @@ class StartSpec(Table):
     Mesh, materials and masses are that case's, unless this one has its own tables of them.
     """
 
-    case: str = Field(description="A shipped case or a file, relative to this one.")
+    case: str | None = Field(
+        default=None,
+        description="A shipped case or a file, relative to this one (default: none, the "
+        "undeformed body).",
+    )
     unfold: tuple[Axis, ...] = Field(
         default=(),
         description="Symmetry planes through the origin, by their normal, at which the modelled "

@@ -249,6 +249,12 @@ BendStiffness = Annotated[
     float, Quantity("bending stiffness", "N m/rad", "0.0015 N m/rad", positive=True)
 ]
 PositiveForce = Annotated[float, Quantity("force", "N", "150 mN", positive=True)]
+Torque = Annotated[float, Quantity("torque", "N m", "25 kgf cm", positive=True)]
+TorsionStiffness = Annotated[
+    float, Quantity("torsional stiffness", "N m/rad", "200 N m/rad", positive=True)
+]
+TorsionDamping = Annotated[float, Quantity("torsional damping", "N m s/rad", "0.5 N m s/rad")]
+Inertia = Annotated[float, Quantity("moment of inertia", "kg m^2", "0.003 kg m^2", positive=True)]
 ForceRate = Annotated[float, Quantity("rate of a force", "N/s", "150 mN/s", positive=True)]
 
 

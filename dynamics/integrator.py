@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from flexapod.core.errors import InputError, SolverError, Status, check_positive
-from flexapod.dynamics import kernels, line_kernels, rigid_kernels
+from flexapod.dynamics import joint_kernels, kernels, line_kernels, rigid_kernels
 from flexapod.dynamics.contacts import (
     DEPTH,
     ENERGY,
@@ -36,6 +36,7 @@ WORKS = slice(1, 6)
 # Parts of a run's time, see `Clock`. Contact's share of the stable step counts with that.
 ELEMENTS, BRANCHES, PRESSURES = "element_forces", "viscous_forces", "pressure"
 SEARCH, CONTACT, BONDS, LINES = "contact_search", "contact_forces", "bonds", "lines"
+JOINTS = "joints"
 KICK, DRIFT, STABLE, OUTPUT, REST = "kick", "drift", "stable_step", "output", "rest"
 PARTS = (
     ELEMENTS,
@@ -45,6 +46,7 @@ PARTS = (
     CONTACT,
     BONDS,
     LINES,
+    JOINTS,
     KICK,
     DRIFT,
     STABLE,
@@ -104,11 +106,15 @@ class Energies:
     lines: float = 0.0
     line_loss: float = 0.0
     coil_work: float = 0.0
+    joints: float = 0.0
+    joint_loss: float = 0.0
+    servo_work: float = 0.0
 
     @property
     def stored(self) -> float:
         """Kinetic and potential energy."""
-        return self.kinetic + self.strain + self.weight + self.contact + self.bond + self.lines
+        potential = self.strain + self.weight + self.contact + self.bond
+        return self.kinetic + potential + self.lines + self.joints
 
     @property
     def unaccounted(self) -> float:
@@ -120,8 +126,10 @@ class Energies:
             + self.viscous_loss
             + self.bond_loss
             + self.line_loss
+            + self.joint_loss
         )
-        return self.stored - self.start - self.pressure_work - self.coil_work + losses
+        came_in = self.pressure_work + self.coil_work + self.servo_work
+        return self.stored - self.start - came_in + losses
 
 
 class Workspace:
@@ -147,13 +155,16 @@ class Workspace:
         self.bond_totals = np.zeros((len(model.bonds), 5))
         self.strain_energy = 0.0
         self.line_energy = 0.0
+        self.joint_energy = 0.0  # of springs
+        self.rotor_energy = 0.0  # of motion
+        self.joint_spent = np.zeros(3)
         self.kinetic = 0.0
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)
         self.springs = np.zeros(shape[0])
         self.dashpots = np.zeros(shape[0])
         # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
-        self.inverse_mass = 1.0 / model.mass
+        self.inverse_mass = model.inverse_mass()
         self.tangents = np.empty((0, fem_kernels.PAIR_COUNT, 3, 3))
         self.cell_pressure = np.zeros(model.soft_cells.size)
         self.clock = Clock()
@@ -212,6 +223,7 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
         model.lines.add_rates(
             model.nodes, state.lines, work.inverse_mass, work.springs, work.dashpots
         )
+    _gather_owned(model, work)
     half = 0.5 * work.dashpots
     square = float(((half + np.sqrt(half * half + work.springs)) ** 2).max(initial=0.0))
     if model.internal is not None:
@@ -227,7 +239,25 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
                 f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m has no finite stiffness",
             )
         square = max(square, float(work.rates[worst]))
+    if model.joints is not None:
+        # The bodies they hold may be in elements and in contact too: bounds of sums add up.
+        spring, dashpot = model.joints.rates()
+        half_sum = 0.5 * dashpot
+        square += (half_sum + math.sqrt(half_sum * half_sum + spring)) ** 2
     return math.sqrt(square)
+
+
+def _gather_owned(model: Model, work: Workspace) -> None:
+    """Give each rigid body what acts on all of its nodes together, in the place of each node's.
+
+    A force at a node moves the body by no more than `Model.inverse_mass` says of that node.
+    """
+    if not model.owned.size:
+        return
+    owner = model.owner[model.owned]
+    for rates in (work.springs, work.dashpots):
+        total = np.bincount(owner, weights=rates[model.owned], minlength=len(model.rigid.names))
+        rates[model.owned] = total[owner]
 
 
 def _estimate_elements(model: Model, state: State, work: Workspace) -> None:
@@ -299,7 +329,7 @@ def scale_mass(model: Model, state: State, work: Workspace, target: float) -> fl
     model.scaled_mass += float(total.sum())
     # Each element keeps what it was given: shared out by volume it would go to its neighbours.
     model.element_mass += added
-    work.inverse_mass = 1.0 / model.mass
+    work.inverse_mass = model.inverse_mass()
     return float(total.sum())
 
 
@@ -351,6 +381,17 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
             state.x, state.v, state.time, state.dt_before, state.lines, work.elastic
         )
         clock.lap(LINES)
+    if model.joints is not None:
+        work.joint_energy = model.joints.add_loads(
+            state.time,
+            model.rigid,
+            state.rigid_x,
+            state.rigid_q,
+            state.rigid_v,
+            state.rigid_l,
+            state.joints,
+        )
+        clock.lap(JOINTS)
     for k, bond in enumerate(model.bonds):
         if not state.whole[k]:
             work.bond_totals[k] = 0.0
@@ -422,6 +463,8 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
             state.x, work.total, model.owned, model.owner, state.rigid_x, work.load
         )
         work.rigid_before[:] = state.rigid_v
+        if model.joints is not None:
+            work.load += model.joints.load
         slow = model.damping.mass
         work.load[:, :3] += rigid.mass[:, None] * (model.gravity - slow * state.rigid_v)
         work.load[:, 3:] -= slow * state.rigid_l
@@ -444,6 +487,17 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
         # L . omega is twice the energy of the spin.
         power = float((rigid.mass[:, None] * work.rigid_before * mean).sum())
         work.sums[MASS_DAMPING] -= h * slow * (power + 2.0 * (before - moving))
+        if model.joints is not None:
+            work.rotor_energy = model.joints.kick(
+                h,
+                rigid,
+                state.rigid_q,
+                state.rigid_v,
+                state.rigid_l,
+                work.rigid_before,
+                state.joints,
+                work.joint_spent,
+            )
         place_owned(model, state)
         kernels.owned_work(
             h,
@@ -509,6 +563,8 @@ def drift(model: Model, state: State, work: Workspace, dt: float) -> None:
             state.rigid_v,
             state.rigid_l,
         )
+        if model.joints is not None:
+            joint_kernels.drift_rotors(dt, state.joints["motion"])
         place_owned(model, state)
         kernels.owned_displacement(model.owned, model.nodes, state.x, state.u)
     state.travel = math.sqrt(work.sums[FASTEST]) * dt
@@ -520,6 +576,7 @@ def last_record(model: Model, state: State, work: Workspace, record: Callable[[]
     """Call `record` with forces and energies at the state's own time; the state stays as it is."""
     held = [{key: value.copy() for key, value in h.items()} for h in state.histories]
     lines = {key: value.copy() for key, value in state.lines.items()}
+    joints = {key: value.copy() for key, value in state.joints.items()}
     viscous = None if model.viscous is None else model.viscous.history()
     kept = {n: getattr(state, n).copy() for n in ("v", "rigid_v", "rigid_l", "works", "whole")}
     evaluate(model, state, work)
@@ -528,12 +585,16 @@ def last_record(model: Model, state: State, work: Workspace, record: Callable[[]
     kinetic = kinetic_energy(model, state)
     work.kinetic = kinetic
     state.works[WORKS] += work.sums[WORKS]
+    if state.joints:
+        work.rotor_energy = rotor_energy(model, state)
+        state.joints["spent"] += work.joint_spent
     record()
     for name, value in kept.items():
         setattr(state, name, value)
     place_owned(model, state)
     state.histories = held
     state.lines = lines
+    state.joints = joints
     if model.viscous is not None and viscous is not None:
         model.viscous.restore(viscous)
 
@@ -550,6 +611,14 @@ def kinetic_energy(model: Model, state: State) -> float:
     return energy
 
 
+def rotor_energy(model: Model, state: State) -> float:
+    """Kinetic energy of the servos' rotors relative to what they sit in [J]."""
+    if model.joints is None:
+        return 0.0
+    rate = state.joints["motion"][:, joint_kernels.RATE]
+    return 0.5 * float((model.joints.servo[:, joint_kernels.INERTIA] * rate * rate).sum())
+
+
 def step(
     model: Model,
     state: State,
@@ -561,7 +630,8 @@ def step(
 
     The caller advances `state.time`.
     """
-    first = kinetic_energy(model, state) if math.isnan(state.energy_start) else 0.0
+    anew = math.isnan(state.energy_start)
+    first = (kinetic_energy(model, state), rotor_energy(model, state)) if anew else (0.0, 0.0)
     evaluate(model, state, work)
     work.clock.lap(REST)
     kick(model, state, work, 0.5 * (state.dt_before + dt))
@@ -570,12 +640,15 @@ def step(
     before = state.dt_before / (state.dt_before + dt)
     half = (1.0 - before) * work.sums[WORKS]
     state.works[WORKS] += before * work.sums[WORKS]
-    if math.isnan(state.energy_start):
+    if anew:
         # A first kick starts from the velocity of the state's own time: nothing came before.
-        work.kinetic = first
+        before = 0.0
+        work.kinetic, work.rotor_energy = first
         state.energy_start = energies(model, state, work).stored
         state.works[WORKS] = 0.0
         half = work.sums[WORKS].copy()
+    if state.joints:
+        state.joints["spent"] += before * work.joint_spent
     for contact, history in zip(model.contacts, state.histories, strict=True):
         account(contact, history, dt)
     if record is not None:
@@ -583,6 +656,8 @@ def step(
         record()
         work.clock.lap(OUTPUT)
     state.works[WORKS] += half
+    if state.joints:
+        state.joints["spent"] += (1.0 - before) * work.joint_spent
     _feed(model, state, work, dt)
     work.clock.lap(REST)
     drift(model, state, work, dt)
@@ -620,6 +695,9 @@ def energies(model: Model, state: State, work: Workspace) -> Energies:
         lines=work.line_energy,
         line_loss=float(state.lines["spent"][line_kernels.LOSS]) if state.lines else 0.0,
         coil_work=float(state.lines["spent"][line_kernels.COIL_WORK]) if state.lines else 0.0,
+        joints=work.joint_energy + work.rotor_energy,
+        joint_loss=float(state.joints["spent"][joint_kernels.LOSS]) if state.joints else 0.0,
+        servo_work=float(state.joints["spent"][joint_kernels.WORK]) if state.joints else 0.0,
     )
 
 

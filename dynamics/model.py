@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from flexapod.core.errors import InputError
+from flexapod.dynamics import joint_kernels
 from flexapod.dynamics.commands import Chamber, chamber_names
 from flexapod.dynamics.contacts import DynamicContact, History
+from flexapod.dynamics.joints import JointSystem
 from flexapod.dynamics.lines import LineSystem, Points
 from flexapod.dynamics.rigid import RigidBodies
 from flexapod.fem.body import SolidBody
@@ -124,6 +126,8 @@ class Model:
         Rigid bodies, with their centres at the start [m], shape (rigid_count, 3).
     rigid_nodes
         Positions [m] and owners of the surface nodes of rigid bodies, appended after the points.
+    joints
+        Revolute joints with servos between rigid bodies.
     tied
         Node numbers of the mesh each rigid body carries, by its name. Cells whose corners all
         belong to one rigid body have no stiffness.
@@ -158,6 +162,7 @@ class Model:
         rigid: RigidBodies | None = None,
         rigid_centres: np.ndarray | None = None,
         rigid_nodes: tuple[np.ndarray, np.ndarray] | None = None,
+        joints: JointSystem | None = None,
         tied: Mapping[str, np.ndarray] | None = None,
         carried_mass: np.ndarray | None = None,
         displacements: Sequence[Displacement] = (),
@@ -178,6 +183,7 @@ class Model:
         mesh_nodes = body.nodes if body is not None else np.zeros((0, 3))
         self.points = points or Points(np.zeros((0, 3)), np.zeros(0))
         self.lines = lines
+        self.joints = joints
         self.mesh_node_count = mesh_nodes.shape[0]
         self.rigid_start = self.mesh_node_count + len(self.points.mass)
         self.nodes = np.ascontiguousarray(
@@ -222,6 +228,23 @@ class Model:
     def node_count(self) -> int:
         """All nodes."""
         return int(self.nodes.shape[0])
+
+    def inverse_mass(self) -> np.ndarray:
+        """Bound of a node's acceleration per force at it [1/kg], shape (node_count,).
+
+        A node of a rigid body moves as the body does: the largest eigenvalue of
+        ``1/m - [r] I^-1 [r]``, with the cross product's matrix of its place from the centre.
+        """
+        inverse = 1.0 / self.mass
+        if self.owned.size:
+            row = self.owner[self.owned]
+            x, y, z = self.local[self.owned].T
+            cross = np.zeros((self.owned.size, 3, 3))
+            cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+            cross -= np.swapaxes(cross, 1, 2)
+            moved = -cross @ np.linalg.inv(self.rigid.inertia)[row] @ cross
+            inverse[self.owned] = 1.0 / self.rigid.mass[row] + np.linalg.eigvalsh(moved)[:, -1]
+        return inverse
 
     def _set_soft(self, carried_mass: np.ndarray | None) -> None:
         body, owner = self.body, self.owner
@@ -317,10 +340,14 @@ class Model:
             works=np.zeros(7),
             whole=np.ones(len(self.bonds), dtype=bool),
         )
+        if self.joints is not None:
+            state.joints = self.joints.start()
         if u is not None:
             state.u[: self.mesh_node_count] = u
             state.x += state.u
             self._fit_rigid(state)
+        if u is not None or self.joints is not None:
+            self._place_rigid(state)
         if velocity is not None:
             state.v[: self.mesh_node_count] = velocity
         for k, (chamber, cavity) in enumerate(zip(self.chambers, self.cavities, strict=True)):
@@ -336,8 +363,6 @@ class Model:
         return state
 
     def _fit_rigid(self, state: State) -> None:
-        from flexapod.dynamics import rigid_kernels
-
         for k in range(len(self.rigid.names)):
             own = self.owned[self.owner[self.owned] == k]
             own = own[own < self.mesh_node_count]
@@ -354,6 +379,14 @@ class Model:
             for axis in range(3):
                 if not self.rigid.free[k, axis]:
                     state.rigid_x[k, axis] = self.rigid_centres[k, axis]
+
+    def _place_rigid(self, state: State) -> None:
+        from flexapod.dynamics import rigid_kernels
+
+        if self.joints is not None:
+            self.joints.place_children(
+                state.joints, state.rigid_x, state.rigid_q, self.rigid_centres
+            )
         rigid_kernels.place(
             self.owned,
             self.owner,
@@ -405,6 +438,9 @@ class State:
         Of the contacts.
     lines
         What line elements remember, see `lines.LineSystem`; empty without.
+    joints
+        Of joints and servos, see `joints.JointState`; rotors' rates are half a step before. Empty
+        without.
     interval, dt_before
         Whole control intervals done, and the length of the last step [s].
     """
@@ -421,6 +457,7 @@ class State:
     whole: np.ndarray
     histories: list[History] = field(default_factory=list)
     lines: History = field(default_factory=dict)
+    joints: History = field(default_factory=dict)
     interval: int = 0
     step_count: int = 0
     time: float = 0.0
@@ -436,6 +473,9 @@ class State:
             history["spent"][:] = 0.0
         if self.lines:
             self.lines["spent"][:] = 0.0
+        if self.joints:
+            self.joints["spent"][:] = 0.0
+            self.joints["motion"][:, (joint_kernels.RATE, joint_kernels.SUM)] = 0.0
         for array in (self.v, self.rigid_v, self.rigid_l, self.works):
             array[:] = 0.0
         self.interval = self.step_count = 0
@@ -449,6 +489,7 @@ class State:
         for k, history in enumerate(self.histories):
             arrays.update({f"history{k}.{key}": value for key, value in history.items()})
         arrays.update({f"lines.{key}": value for key, value in self.lines.items()})
+        arrays.update({f"joints.{key}": value for key, value in self.joints.items()})
         scalars = (
             "interval",
             "step_count",
@@ -467,6 +508,7 @@ class State:
         """A state as `to_arrays` wrote it."""
         histories: list[History] = [{} for _ in range(int(about["history_count"]))]
         lines: History = {}
+        joints: History = {}
         plain: dict[str, Any] = {k: v for k, v in about.items() if k != "history_count"}
         for name, value in arrays.items():
             if name.startswith("history"):
@@ -474,6 +516,8 @@ class State:
                 histories[int(row)][key] = np.array(value)
             elif name.startswith("lines."):
                 lines[name.removeprefix("lines.")] = np.array(value)
+            elif name.startswith("joints."):
+                joints[name.removeprefix("joints.")] = np.array(value)
             else:
                 plain[name] = np.array(value)
-        return cls(**plain, histories=histories, lines=lines)
+        return cls(**plain, histories=histories, lines=lines, joints=joints)
