@@ -130,7 +130,7 @@ def load_case(name: str, settings: Sequence[str] = ()) -> LoadedCase:
     return LoadedCase(case, str(path), path.resolve().parent)
 
 
-def _extended(table: dict[str, Any], path: Path) -> dict[str, Any]:
+def _extended(table: dict[str, Any], path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The table laid over the case it names as `extends`; lists of tables are taken whole."""
     name = table.pop("extends", None)
     if name is None:
@@ -145,9 +145,9 @@ def _extended(table: dict[str, Any], path: Path) -> dict[str, Any]:
         source = tomllib.loads(other.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, OSError, UnicodeDecodeError) as error:
         raise InputError(f"extends: {other} cannot be read: {error}", str(path)) from None
-    if "extends" in source:
-        raise InputError(f"{other} extends another case itself", f"{path}: extends")
-    return _laid_over(source, table)
+    if len(above) > 8:
+        raise InputError("extends cases without end", f"{path}: extends")
+    return _laid_over(_extended(source, other, (*above, path)), table)
 
 
 def _laid_over(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,11 +228,16 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
 
 
 def put_value(table: dict[str, Any], key: str, value: Any, where: str) -> None:
-    """Put a value at ``key.path`` of a table; list items go by index or by their name."""
+    """Put a value at ``key.path`` of a table; list items go by index, by name, or all by "*"."""
     parts = [part.strip() for part in key.strip().split(".")]
     target: Any = table
     for depth, part in enumerate(parts):
         last = depth == len(parts) - 1
+        if isinstance(target, list) and part == "*":
+            rest = ".".join(parts[depth + 1 :])
+            for k in range(len(target)):
+                put_value(target, f"{k}.{rest}" if rest else str(k), value, where)
+            return
         if isinstance(target, list):
             index = _index(target, part, ".".join(parts[:depth]), where)
             if last:

@@ -14,7 +14,7 @@ from flexapod.app.case import LoadedCase, package_version
 from flexapod.app.motion_flight import flight_results
 from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape, uphill
 from flexapod.app.motion_recorder import MotionFolder, Recorder
-from flexapod.app.motion_robot import robot_results
+from flexapod.app.motion_robot import robot_results, step_results
 from flexapod.app.outputs import CHECKPOINT_FILE, peak_memory
 from flexapod.core.errors import SolverError, Status
 
@@ -182,6 +182,7 @@ def _results(recorder: Recorder, motion: Motion) -> dict[str, Any]:
             gravity = float(np.linalg.norm(motion.model.gravity))
             period = getattr(gait.gait(), "period", None)
             results.update(robot_results(rows, motion.mass, gravity, period))
+            results.update(step_results(rows, recorder.loaded))
     results["mass_kg"] = motion.mass
     results["scaled_mass_kg"] = motion.model.scaled_mass
     results["steps"] = motion.state.step_count

@@ -433,9 +433,10 @@ def ground_slope(loaded: LoadedCase) -> float:
 
 
 def uphill(loaded: LoadedCase) -> np.ndarray:
-    """Direction along the ground that goes up a slope: towards -x, as downhill is +x."""
+    """Direction along the ground that goes up its slope: -x where that is positive, or nought."""
     slope = ground_slope(loaded)
-    return np.array([-math.cos(slope), 0.0, math.sin(slope)])
+    up = np.array([-math.cos(slope), 0.0, math.sin(slope)])
+    return -up if slope < 0.0 else up
 
 
 def _carried_along(model: Model, rigid: RigidParts, u: np.ndarray) -> np.ndarray:

@@ -390,6 +390,23 @@ def robot_results(
     return results
 
 
+def step_results(rows: Sequence[Mapping[str, float]], loaded: LoadedCase) -> dict[str, Any]:
+    """Whether a step in the ground was cleared: centre and marked point are past it, and higher.
+
+    Higher than they began by more than half of it: what hangs on the edge is not over it.
+    """
+    steps = [c for c in loaded.case.contact if c.type == "ground" and c.shape == "step"]
+    if not steps:
+        return {}
+    edge, height = 1e3 * steps[0].step_at, 1e3 * steps[0].step_height
+    last, first = rows[-1], rows[0]
+    over = all(
+        last[f"{name}_x_mm"] > edge and last[f"{name}_z_mm"] - first[f"{name}_z_mm"] > 0.5 * height
+        for name in ("centre", "marker")
+    )
+    return {"cleared": over, "past_the_step_m": 1e-3 * (last["centre_x_mm"] - edge)}
+
+
 def airborne_fraction(rows: Sequence[Mapping[str, float]]) -> float:
     """Share of the rows in which nothing touches the ground."""
     heads = [h for h in rows[0] if h.startswith("ground_") and h.endswith("_points")]
@@ -421,6 +438,7 @@ __all__ = [
     "rigid_torso",
     "robot_results",
     "station_names",
+    "step_results",
     "torso_rigid",
     "with_rigid_stations",
 ]

@@ -74,6 +74,7 @@ class Range:
         spec = loaded.case.search
         assert spec is not None
         where = f"{loaded.source}: search"
+        climb = spec.goal == "climb"  # where slopes may be negative: up towards +x
         low, unit = split_quantity(spec.low, f"{where}.low")
         high, other = split_quantity(spec.high, f"{where}.high")
         tolerance, third = split_quantity(spec.tolerance, f"{where}.tolerance")
@@ -81,7 +82,7 @@ class Range:
             raise InputError(
                 f"low, high and tolerance need one unit, got {unit}, {other}, {third}", where
             )
-        if not (low < high and tolerance > 0.0):
+        if not (low < high or (climb and low > high)) or not tolerance > 0.0:
             raise InputError("needs low < high and tolerance > 0", where)
         for value in (low, high):
             with_value(loaded, spec.key, f"{value:.10g} {unit}")

@@ -39,7 +39,7 @@ class _Climbs:
     @property
     def count(self) -> int:
         """Trials at most."""
-        width = (self.range.high - self.range.low) / self.range.tolerance
+        width = abs(self.range.high - self.range.low) / self.range.tolerance
         return len(self.patterns) * (2 + max(0, math.ceil(math.log2(width))))
 
     @property
@@ -74,14 +74,14 @@ class _Climbs:
                 word = "climbs" if climbs else "does not climb"
                 self.notes[pattern] = f"{word} at {self.range.text(end)}"
                 return
-        while high - low > self.range.tolerance * (1.0 + 1e-9):
+        while abs(high - low) > self.range.tolerance * (1.0 + 1e-9):
             middle = 0.5 * (low + high)
             outcome = yield self.job(pattern, middle)
             climbs = self.note(pattern, middle, outcome)
             if climbs is None:
                 return
             low, high = (middle, high) if climbs else (low, middle)
-        self.steepest[pattern] = low
+        self.steepest[pattern] = abs(low)
 
     def note(self, pattern: str, value: float, outcome: Outcome) -> bool | None:
         """Keep a trial; whether it climbed, or None where it did not reach its end."""

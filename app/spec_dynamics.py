@@ -145,7 +145,8 @@ class ContactGroundSpec(MovingContact, ContactBase):
     shape: Literal["plane", "step", "field"] = "plane"
     slope: Angle = Field(
         default=default_text("0 deg"),
-        description="Of a plane through the origin; the body goes downhill towards +x.",
+        description="Of a plane through the origin; the body goes downhill towards +x, and uphill "
+        "for a negative one.",
     )
     level: Length = Field(default=default_text("0 m"), description="Height of a plane.")
     step_at: Length = Field(
@@ -205,8 +206,8 @@ class SearchSpec(Table):
         "case is run as it is, and then the highest value is sought at which it still climbs.",
     )
     key: str = Field(
-        description="As --set writes it, for example contact.0.slope: of contact, gravity or "
-        "dynamics, since the start shape is computed once."
+        description="As --set writes it, for example contact.0.slope, or contact.*.slope for all: "
+        "of contact, gravity or dynamics, since the start shape is computed once."
     )
 
     @field_validator("key")
@@ -223,7 +224,7 @@ class SearchSpec(Table):
     tolerance: str = Field(description="Width at which the search ends.")
     distance: PositiveLength = Field(
         description="Horizontal way of the body's centre after which it counts as gone; of a "
-        "climb, its way uphill (towards -x) by the end of the duration."
+        "climb, its way uphill by the end of the duration."
     )
     patterns: tuple[str, ...] = Field(
         default=(),

@@ -340,31 +340,28 @@ class JointSystem:
     def rates(self) -> tuple[float, float]:
         """Bounds of what joints add to the squared highest frequency [1/s2], and damping [1/s].
 
-        Per body the row sum of all joints at it, and of the rotors.
+        Gershgorin's bound of the matrix scaled by the roots of the inertias: in the row of a body,
+        a spring k between compliances c and c' counts ``k (c + sqrt(c c'))``. The rotors have
+        their own rows.
         """
-        stiffness, servo = self.stiffness, self.servo
-        inverse = 1.0 / servo[:, joint_kernels.INERTIA]
-        bodies: dict[int, np.ndarray] = {}
-        worst = np.zeros(2)
-        for j, pair in enumerate(self.bodies):
-            for side, k in enumerate(pair):
-                point, turn = self.compliance[j, side]
-                row = np.array(
-                    [
-                        stiffness[j, first] * point
-                        + (
-                            stiffness[j, first + 2] + stiffness[j, first + 4]
-                        ) * turn
-                        for first in (joint_kernels.POINT_SPRING, joint_kernels.POINT_DASHPOT)
-                    ]
-                )  # fmt: skip
-                bodies[int(k)] = bodies.get(int(k), np.zeros(2)) + 2.0 * row
-            gear = 2.0 * stiffness[j, [joint_kernels.GEAR_SPRING, joint_kernels.GEAR_DASHPOT]]
-            gains = servo[j, [joint_kernels.PROPORTIONAL, joint_kernels.DERIVATIVE]]
-            worst = np.maximum(worst, (gear + gains) * inverse[j])
-        for row in bodies.values():
-            worst = np.maximum(worst, row)
-        return float(worst[0]), float(worst[1])
+        inertia = self.servo[:, joint_kernels.INERTIA]
+        gains = self.servo[:, (joint_kernels.PROPORTIONAL, joint_kernels.DERIVATIVE)]
+        out = []
+        for kind in range(2):  # springs, dashpots
+            point, axis, gear = self.stiffness[:, kind : joint_kernels.STIFFNESS : 2].T
+            rows = np.zeros(int(self.bodies.max(initial=-1)) + 1)
+            for side in range(2):
+                moved, turned = self.compliance[:, side].T
+                other_moved, other_turned = self.compliance[:, 1 - side].T
+                part = point * (moved + np.sqrt(moved * other_moved))
+                part += (axis + gear) * (turned + np.sqrt(turned * other_turned))
+                part += gear * np.sqrt(turned / inertia)
+                np.add.at(rows, self.bodies[:, side], part)
+            turned = self.compliance[:, :, 1]
+            rotors = (gear + gains[:, kind]) / inertia
+            rotors += gear * np.sqrt(turned / inertia[:, None]).sum(axis=1)
+            out.append(float(np.concatenate([rows, rotors]).max(initial=0.0)))
+        return out[0], out[1]
 
 
 def _across(axis: np.ndarray) -> np.ndarray:

@@ -1,0 +1,341 @@
+"""Robots on legs from case files: tables, assembly, rows, results and pictures."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexapod.app import plots
+from flexapod.app.case import load_case, parse_case
+from flexapod.app.motion_model import assemble_motion
+from flexapod.app.motion_robot import robot_results, station_names, step_results
+from flexapod.app.run import RunResult, run_case
+from flexapod.app.search import Range
+from flexapod.core.errors import InputError, Status
+from flexapod.dynamics import joint_kernels as jk
+from flexapod.geometry.legs import CLeg
+
+RIGID = ["robot.body=rigid"]
+
+
+@pytest.fixture(autouse=True)
+def _matplotlib_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    plots.renderer.cache_clear()
+    monkeypatch.setenv("FLEXAPOD_RENDERER", "matplotlib")
+
+
+def rows_of(folder: Path) -> list[dict[str, float]]:
+    with (folder / "curve.csv").open(encoding="utf-8") as lines:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(lines)]
+
+
+def short(name: str, duration: str, *more: str) -> Any:
+    frames = ["dynamics.frames=3", f'dynamics.duration="{duration}"']
+    return load_case(name, [*RIGID, *frames, *more])
+
+
+# --------------------------------------------------------------------------- tables
+
+
+def test_a_case_is_laid_over_the_one_it_extends(tmp_path: Path) -> None:
+    case = tmp_path / "mine.toml"
+    case.write_text('extends = "pronk_moon"\n[robot.legs]\nwidth = "14 mm"\n', encoding="utf-8")
+    loaded = load_case(str(case))
+    legs = loaded.case.robot.legs
+    assert (legs.width, legs.height, legs.mass) == (0.014, 0.060, 0.015)  # own, earth's, stand's
+    assert loaded.case.gravity.acceleration == (0.0, 0.0, -1.6)
+    assert loaded.case.gait.type == "pronk"
+    # A table with another type takes nothing over.
+    case.write_text('extends = "pronk_earth"\n[gait]\ntype = "hold"\n', encoding="utf-8")
+    assert load_case(str(case)).case.gait.type == "hold"
+    case.write_text('extends = "mine.toml"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="cannot extend itself"):
+        load_case(str(case))
+    (tmp_path / "other.toml").write_text('extends = "mine.toml"\n', encoding="utf-8")
+    case.write_text('extends = "other.toml"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="without end"):
+        load_case(str(case))
+    case.write_text('extends = "nowhere"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="no such case"):
+        load_case(str(case))
+
+
+def test_the_body_says_how_fine_the_mesh_is() -> None:
+    assert load_case("stand").case.mesh.options["size"] == "20 mm"
+    assert load_case("stand", ["robot.body=full"]).case.mesh.options["size"] == "default"
+    own = load_case("stand", ['mesh.size="12 mm"', "robot.body=full"])
+    assert own.case.mesh.options["size"] == "12 mm"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["robot.body=soft"], "robot.body: must be 'full', 'coarse' or 'rigid'; got 'soft'"),
+        (["robot.legs.height=50"], "robot.legs.height: write a length with its unit"),
+        (['robot.legs.mass="-3 g"'], "robot.legs.mass"),
+        (['robot.servo.stall_torque="25 kg"'], "robot.servo.stall_torque: write a torque"),
+        (['robot.servo.no_load_speed="0 deg/s"'], "no_load_speed must be > 0"),
+        (['robot.legs.hip_out=["60 mm"]'], "robot.legs.hip_out"),
+        (["gait.type=gallop"], "gait"),
+    ],
+)
+def test_bad_tables_name_the_key(settings: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_case("stand", settings)
+
+
+def test_robot_and_gait_go_together() -> None:
+    table = load_case("stand").case.model_dump(mode="json", by_alias=True, exclude_none=True)
+    without = {k: v for k, v in table.items() if k != "gait"}
+    with pytest.raises(InputError, match="a robot needs a gait"):
+        parse_case(without, "mine.toml")
+    still = {k: v for k, v in table.items() if k not in ("dynamics", "start", "contact")}
+    with pytest.raises(InputError, match=r"only a case with \[dynamics\] has .*robot"):
+        parse_case(still, "mine.toml")
+
+
+def test_wrong_stations_and_legs_are_refused() -> None:
+    for settings, message in (
+        (["robot.legs.stations=servo_1"], "three|3 stations"),
+        (["robot.legs.stations=motor_*"], "motor_"),
+        (['robot.legs.thickness="30 mm"'], "robot.legs: .*thickness must be less than"),
+    ):
+        with pytest.raises(InputError, match=message):
+            assemble_motion(load_case("stand", [*RIGID, *settings]), None, print, settle=False)
+    with pytest.raises(InputError, match=r"head.between: no face lies there"):
+        loaded = load_case("obstacle_70mm", ['pressure.head.between=["1 m", "2 m"]'])
+        assemble_motion(loaded, None, print, settle=False)
+
+
+def test_a_search_of_a_climb_may_go_to_negative_slopes() -> None:
+    found = Range.of(load_case("climb"))
+    assert (found.low, found.high) == (-20.0, -50.0)
+    both = load_case("climb", ['contact.*.slope="-10 deg"']).case.contact
+    assert [c.slope for c in both] == [math.radians(-10.0)] * 2
+
+
+# --------------------------------------------------------------------------- assembly
+
+
+def test_whole_and_half_robot_weigh_and_stand_alike() -> None:
+    """1.9 kg (paper), six legs; half of it has the three left ones and half the mass."""
+    whole = assemble_motion(load_case("stand"), None, print, settle=False)
+    half = assemble_motion(load_case("pronk_earth"), None, print, settle=False)
+    assert whole.mass == pytest.approx(1.9, rel=1e-3)
+    assert half.mass == pytest.approx(0.5 * whole.mass, rel=1e-9)
+    assert whole.model.rigid.names[:3] == ("servo_0", "servo_1", "servo_2")
+    names = [joint.name for joint in whole.model.joints.joints]
+    assert sorted(names) == [f"leg_{k}" for k in range(1, 7)]
+    assert [j.name for j in half.model.joints.joints] == ["leg_5", "leg_3", "leg_1"]
+    by_name = {j.name: np.array(j.point) for j in whole.model.joints.joints}
+    assert by_name["leg_1"][0] > by_name["leg_3"][0] > by_name["leg_5"][0]  # front, +x
+    assert by_name["leg_1"][1] == -by_name["leg_2"][1] == pytest.approx(0.061)
+    # Every leg's lowest point is on the ground, the body above it.
+    soles = whole.state.x[whole.model.rigid_start :, 2]
+    assert soles.min() == pytest.approx(0.0, abs=1e-6)
+    assert whole.state.x[: whole.model.rigid_start, 2].min() == pytest.approx(0.0135, abs=1e-4)
+
+
+def test_rigid_torso_has_mass_and_inertia_of_the_body() -> None:
+    """The box stands for the mesh: mass, centre and inertia of the nodes it replaces."""
+    whole = assemble_motion(load_case("stand"), None, print, settle=False)
+    rigid = assemble_motion(load_case("stand", RIGID), None, print, settle=False)
+    assert rigid.model.soft_cells.size == 0
+    assert rigid.mass == pytest.approx(whole.mass, rel=1e-12)
+    model, x = whole.model, whole.state.x
+    free = model.owner < 0
+    mass = [*model.own_mass[free], *model.rigid.mass[:3]]
+    places = np.concatenate([x[free], whole.state.rigid_x[:3]])
+    centre = np.average(places, axis=0, weights=mass)
+    torso = rigid.model.rigid.names.index("torso")
+    np.testing.assert_allclose(rigid.state.rigid_x[torso], centre, atol=1e-12)
+    arm = places - centre
+    inertia = np.einsum("k,ki,ki", mass, arm, arm) * np.eye(3) - np.einsum(
+        "k,ki,kj->ij", mass, arm, arm
+    )
+    inertia += whole.model.rigid.inertia[:3].sum(axis=0)
+    np.testing.assert_allclose(rigid.model.rigid.inertia[torso], inertia, rtol=1e-9, atol=1e-15)
+
+
+def test_stations_are_sorted_along_the_body() -> None:
+    loaded = load_case("roll_active")
+    motion = assemble_motion(loaded, None, print, settle=False)
+    assert station_names(loaded, motion.mesh) == ["servo_2_mirrored", "servo_1", "servo_2"]
+
+
+# --------------------------------------------------------------------------- motion
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, Path]:
+    """The first slow phase of a walk on all legs together, a rigid body, and a little more."""
+    out = tmp_path_factory.mktemp("walk") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        plots.renderer.cache_clear()
+        patch.setenv("FLEXAPOD_RENDERER", "matplotlib")
+        settings = ("gait.type=together", 'start.set_down="100 ms"')
+        result = run_case(short("walk_tripod", "0.6 s", *settings), out)
+    return result, out
+
+
+def test_walking_speed_is_that_of_the_rolling_arc(walk: tuple[RunResult, Path]) -> None:
+    """From 0 to 60 degrees all legs roll without slipping: R (pi/3 + sin 60).
+
+    From 0.08 s on, since the legs start with a jerk and slip by half a millimetre. Measured 0.03 %;
+    the flats of the sole and its sinking in, 0.05 of 25 mm, may make 0.3 %. The marked point is
+    the torso's; the centre of mass is not, for the legs swing.
+    """
+    rows = rows_of(walk[1])
+    leg = CLeg(0.050, math.pi, 0.012)
+    begin, end = rows[16], rows[96]
+    assert (begin["time_s"], end["time_s"]) == (0.08, 0.48)
+    angles = [math.radians(row["leg_1_angle_deg"]) for row in (begin, end)]
+    assert angles[1] == pytest.approx(math.radians(60.0), abs=math.radians(1.0))
+    way = 1e-3 * (end["marker_x_mm"] - begin["marker_x_mm"])
+    assert way == pytest.approx(leg.rolling_advance(*angles), rel=3e-3)
+    # And its height follows the arc's.
+    fall = 1e-3 * (begin["marker_z_mm"] - end["marker_z_mm"])
+    assert fall == pytest.approx(leg.lowest(angles[0]) - leg.lowest(angles[1]), rel=3e-3)
+
+
+def test_rows_results_and_pictures_of_a_walk(walk: tuple[RunResult, Path]) -> None:
+    result, out = walk
+    assert result.status is Status.DONE
+    rows = rows_of(out)
+    found = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
+    for key in (
+        "distance_m", "mean_speed_m_s", "peak_speed_m_s", "jump_height_m", "airborne_fraction",
+        "cost_of_transport", "turns", "energy_balance", "marker_peak_speed_m_s", "yaw_deg",
+    ):  # fmt: skip
+        assert math.isfinite(found[key]), key
+    assert found["energy_balance"] < 1e-3
+    assert {"joints", "contact_forces"} <= found["time_share"].keys()
+    assert {"marker_x_mm", "leg_6_power_W", "servo_work_J", "servo_drawn_J", "yaw_deg"} <= set(
+        rows[0]
+    )
+    assert "rigid_leg_1_x_mm" not in rows[0]
+    assert max(abs(row[f"leg_{k}_torque_N_m"]) for row in rows for k in range(1, 7)) <= 2.4518
+    drawn = [row["servo_drawn_J"] for row in rows]
+    assert all(b >= a for a, b in itertools.pairwise(drawn))
+    for name in ("curve.png", "energy.png", "contact.png", "legs.png", "snapshots.png"):
+        assert (out / "plots" / name).stat().st_size > 5000, name
+
+
+def test_flight_is_ballistic(tmp_path: Path) -> None:
+    """A robot let go in the air, its legs swinging: the centre falls by g t^2 / 2 to round-off."""
+    loaded = short("pronk_moon", "0.15 s", "start.rest=false", 'gait.start="0 s"')
+    loaded = load_case(
+        "pronk_moon",
+        [*RIGID, "start.rest=false", 'dynamics.duration="0.15 s"', 'gait.start="0 s"',
+         'contact.*.level="-1 m"', "dynamics.frames=2"],
+    )  # fmt: skip
+    result = run_case(loaded, tmp_path / "out")
+    assert result.status is Status.DONE
+    rows = rows_of(tmp_path / "out")
+    time = np.array([row["time_s"] for row in rows])
+    z = 1e-3 * np.array([row["centre_z_mm"] - rows[0]["centre_z_mm"] for row in rows])
+    # Rows have seven digits; the first kick of half a step is within dt of g t^2 / 2.
+    np.testing.assert_allclose(z, -0.8 * time**2, atol=2e-6)
+    x = np.array([row["centre_x_mm"] for row in rows])
+    np.testing.assert_allclose(x, x[0], atol=2e-4)
+    assert np.ptp([row["leg_1_angle_deg"] for row in rows]) > 20.0
+    found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["results"]
+    assert found["airborne_fraction"] == 1.0
+
+
+def test_mirrored_gait_mirrors_the_track(tmp_path: Path) -> None:
+    """Turning offsets and lead swapped: the same way with y mirrored, within round-off.
+
+    Sums are taken in another order, and contact makes more of it; after 0.9 s under 1e-4 mm.
+    """
+    tracks = []
+    for name, settings in (
+        ("one", ['gait.turn_time="0.1 s"', "gait.lead=left"]),
+        ("two", ['gait.turn_time="-0.1 s"', "gait.lead=right"]),
+    ):
+        loaded = short("walk_tripod", "0.9 s", 'start.set_down="100 ms"', *settings)
+        assert run_case(loaded, tmp_path / name).status is Status.DONE
+        rows = rows_of(tmp_path / name)
+        tracks.append(np.array([[r[f"centre_{a}_mm"] for a in "xyz"] for r in rows]))
+    one, two = tracks
+    assert np.ptp(one[:, 1]) > 0.05
+    np.testing.assert_allclose(two * [1.0, -1.0, 1.0], one, atol=1e-3)
+
+
+def test_a_run_that_was_cut_goes_on_with_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from flexapod.app import motion_recorder
+
+    settings = ('start.set_down="50 ms"', "dynamics.checkpoint=4")
+    loaded = short("walk_tripod", "0.12 s", *settings)
+    assert run_case(loaded, tmp_path / "whole").status is Status.DONE
+    row, calls = motion_recorder.Recorder.row, []
+
+    def cut(self: Any, energies: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 15:
+            raise KeyboardInterrupt
+        return row(self, energies)
+
+    monkeypatch.setattr(motion_recorder.Recorder, "row", cut)
+    assert run_case(loaded, tmp_path / "cut").status is Status.INTERRUPTED
+    monkeypatch.setattr(motion_recorder.Recorder, "row", row)
+    assert run_case(loaded, tmp_path / "cut", resume=True).status is Status.DONE
+    whole, again = (tmp_path / n / "curve.csv" for n in ("whole", "cut"))
+    assert again.read_bytes() == whole.read_bytes()
+
+
+def test_soft_robot_stands_on_its_legs() -> None:
+    """A few steps of the coarse body: finite, and its weight goes into its soles' ground."""
+    from flexapod.dynamics.integrator import Options, march
+
+    loaded = load_case("pronk_earth", ["robot.body=coarse"])
+    motion = assemble_motion(loaded, None, print, settle=False)
+    march(motion.model, motion.state, motion.work, 1, Options(interval=2e-3))
+    assert np.isfinite(motion.state.x).all()
+    assert np.abs(motion.state.joints["motion"][:, jk.GEAR]).max() < 2.5
+    assert motion.model.contacts[1].pressing() > 0.0
+
+
+# --------------------------------------------------------------------------- results
+
+
+def test_results_of_made_up_rows() -> None:
+    """One metre ahead in 2 s with 5 J from 2 kg: 0.5 m/s, 5 / (2 * 10 * 1) = 0.25."""
+    rows = [
+        {
+            "time_s": t, "centre_x_mm": 500.0 * t, "centre_y_mm": 0.0, "centre_z_mm": z,
+            "marker_x_mm": 500.0 * t, "marker_y_mm": 0.0, "marker_speed_m_s": 0.5,
+            "servo_drawn_J": 2.5 * t, "leg_1_torque_N_m": -1.0, "ground_0_points": points,
+        }
+        for t, z, points in ((0.0, 40.0, 3.0), (0.5, 45.0, 0.0), (1.0, 49.0, 0.0), (2.0, 40.0, 1.0))
+    ]  # fmt: skip
+    found = robot_results(rows, 2.0, 10.0, 0.5)
+    assert found["mean_speed_m_s"] == pytest.approx(0.5)
+    assert found["steady_speed_m_s"] == pytest.approx(0.5)
+    assert found["cost_of_transport"] == pytest.approx(0.25)
+    assert found["airborne_fraction"] == 0.5
+    assert found["jump_height_m"] == pytest.approx(0.009)
+    assert found["peak_torque_N_m"] == 1.0
+
+
+def test_a_step_is_cleared_past_its_edge_and_above_it() -> None:
+    loaded = load_case("obstacle_70mm")
+
+    def ends(x: float, z: float) -> list[dict[str, float]]:
+        names = ("centre", "marker")
+        first = {f"{n}_{a}_mm": 40.0 for n in names for a in "xz"}
+        return [first, {f"{n}_{a}_mm": v for n in names for a, v in (("x", x), ("z", z))}]
+
+    assert step_results(ends(300.0, 110.0), loaded)["cleared"] is True
+    assert step_results(ends(300.0, 60.0), loaded)["cleared"] is False
+    assert step_results(ends(200.0, 110.0), loaded)["cleared"] is False
+    assert step_results(ends(300.0, 110.0), load_case("stand")) == {}
