@@ -362,7 +362,7 @@ def set_in_motion(model: Model, state: State, rigid: RigidParts) -> None:
 
     if not (rigid.velocity.any() or rigid.spin.any()):
         return
-    _, frames = _places(model, state, rigid.middle)
+    _, frames = places(model, state, rigid.middle)
     for row, (velocity, spin) in enumerate(zip(rigid.velocity, rigid.spin, strict=True)):
         # The velocity is the shape's, the state's is the centre of mass's.
         arm = frames[row] @ rigid.middle[row]
@@ -372,7 +372,7 @@ def set_in_motion(model: Model, state: State, rigid: RigidParts) -> None:
     place_owned(model, state)
 
 
-def _places(
+def places(
     model: Model, state: State, middle: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Position [m] and velocity [m/s] of the bodies' `middle`, and their turns since the start.
@@ -423,7 +423,7 @@ class RigidTracks:
         row: dict[str, float] = {}
         if not self.model.rigid.names:
             return row
-        (x, v), frames = _places(self.model, state, self.middle)
+        (x, v), frames = places(self.model, state, self.middle)
         if self.frames is not None:
             for k, (now, before) in enumerate(zip(frames, self.frames, strict=True)):
                 self.turn[k] += np.degrees(rotation_vector(now @ before.T))
@@ -474,6 +474,7 @@ __all__ = [
     "contact_surface",
     "make_rigid",
     "no_rigid",
+    "places",
     "rotation_vector",
     "set_in_motion",
     "together",

@@ -19,7 +19,7 @@ from flexapod.app.assemble import (
 )
 from flexapod.app.case import LoadedCase
 from flexapod.app.motion_flight import flights
-from flexapod.app.motion_rigid import RigidBody, RigidParts, together
+from flexapod.app.motion_rigid import RigidBody, RigidParts, places, together
 from flexapod.app.spec_rigid import RigidSpec
 from flexapod.app.spec_robot import LEG_NAME, LEGS, TORSO, ServoSpec
 from flexapod.core.errors import InputError
@@ -311,23 +311,21 @@ class RobotParts:
         point = np.asarray(marker, dtype=float)
         # Fixed to the station next to it.
         self.body = min(parents, key=lambda k: float(np.linalg.norm(rigid.centres[k] - point)))
-        self.local = point - rigid.centres[self.body]
+        self.local = np.zeros_like(rigid.centres)
+        self.local[self.body] = point - rigid.centres[self.body]
 
     def columns(self, model: Model, state: State) -> dict[str, float]:
         """Place of the marked point; angles, torques and powers of the legs; books of the servos.
 
         Torque is the motor's, power that times the rotor's rate, half a step old.
         """
-        from scipy.spatial.transform import Rotation
-
         from flexapod.dynamics import joint_kernels as jk
 
         system = model.joints
         assert system is not None
         row: dict[str, float] = {}
-        turn = Rotation.from_quat(np.roll(state.rigid_q[self.body], -1))
-        place = state.rigid_x[self.body] + turn.apply(self.local)
-        for axis, value in zip("xyz", place, strict=True):
+        (where, _), _ = places(model, state, self.local)
+        for axis, value in zip("xyz", where[self.body], strict=True):
             row[f"marker_{axis}_mm"] = 1000.0 * float(value)
         motion = state.joints["motion"]
         power = motion[:, jk.MOTOR] * motion[:, jk.RATE]

@@ -22,7 +22,11 @@ COARSE = {
 }
 ROLLING = {"roll_passive", "roll_threshold"}
 RINGS = {"ring_crawl", "ring_crawl_sweep", "ring_climb", "ring_jump", "sphere_crawl"}
-MOVING = ROLLING | RINGS | {"payload_drop"}  # the last is looked at in test_app_rigid
+ROBOTS = {
+    "stand", "walk_tripod", "walk_turn", "walk_turn_air", "spot_turn", "climb", "obstacle_70mm",
+    "rubble", "pronk_earth", "pronk_mars", "pronk_moon", "roll_active",
+}  # fmt: skip
+MOVING = ROLLING | RINGS | ROBOTS | {"payload_drop"}  # the last is looked at in test_app_rigid
 
 
 @pytest.fixture(autouse=True)
@@ -52,6 +56,19 @@ def test_everything_a_moving_case_names_exists(name: str) -> None:
     assert motion.mass == pytest.approx(carried + solid, rel=1e-9)
     assert motion.model.rigid.names == ("servo_1", "servo_2", "servo_2_mirrored")
     assert len(motion.model.bonds) == 1
+
+
+@pytest.mark.parametrize("name", sorted(ROBOTS))
+def test_everything_a_robots_case_names_exists(name: str) -> None:
+    from flexapod.app.motion_model import assemble_motion
+
+    loaded = load_case(name)
+    motion = assemble_motion(loaded, None, lambda text: None, settle=False)
+    make_probes(loaded, motion.mesh)
+    half = "y" in loaded.case.plot.mirror
+    assert motion.mass == pytest.approx(0.95 if half else 1.9, rel=0.02)  # the paper's 1.9 kg
+    assert motion.model.joints.count == (3 if half else 6)
+    assert len(motion.model.chambers) == len(loaded.case.pressure)
 
 
 @pytest.mark.parametrize("name", sorted(RINGS))
