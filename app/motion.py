@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexapod.app.case import LoadedCase, package_version
-from flexapod.app.motion_flight import flight_results
+from flexapod.app.motion_flight import cycle_results, flight_results
 from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape, uphill
 from flexapod.app.motion_recorder import MotionFolder, Recorder
 from flexapod.app.motion_robot import robot_results, step_results
@@ -174,6 +174,9 @@ def _results(recorder: Recorder, motion: Motion) -> dict[str, Any]:
             if head in row
         ]
         results["energy_balance_of_changes"] = worst / max(*changes, 1e-300)
+        cycle = recorder.loaded.case.dynamics.cycle if recorder.loaded.case.dynamics else None
+        if cycle is not None:
+            results.update(cycle_results(rows, cycle))
         if motion.ring is not None:
             results.update(flight_results(rows, motion.mass))
         if motion.robot is not None:

@@ -1,8 +1,9 @@
-"""Jumps in the rows of a motion: how high, how far, and what became of the energy stored."""
+"""Jumps in the rows of a motion: how high, how far, and what became of the energy; and cycles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 
@@ -70,4 +71,24 @@ def flight_results(rows: Sequence[Mapping[str, float]], mass: float) -> dict[str
     return results
 
 
-__all__ = ["flight_results", "flights"]
+def cycle_results(rows: Sequence[Mapping[str, float]], cycle: float) -> dict[str, Any]:
+    """Way of the centre over the ground in each whole cycle [m], its mean, and the largest."""
+    count = int((rows[-1]["time_s"] - rows[0]["time_s"]) / cycle + 1e-6)
+    ends = [
+        min(rows, key=lambda row: abs(row["time_s"] - rows[0]["time_s"] - k * cycle))
+        for k in range(count + 1)
+    ]
+    ways = [
+        1e-3 * sum((b[f"centre_{axis}_mm"] - a[f"centre_{axis}_mm"]) ** 2 for axis in "xy") ** 0.5
+        for a, b in pairwise(ends)
+    ]
+    if not ways:
+        return {}
+    return {
+        "displacement_per_cycle_m": sum(ways) / len(ways),
+        "displacement_of_cycles_m": ways,
+        "largest_displacement_of_a_cycle_m": max(ways),
+    }
+
+
+__all__ = ["cycle_results", "flight_results", "flights"]

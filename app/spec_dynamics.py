@@ -44,6 +44,10 @@ class DynamicsSpec(Table):
     safety: Annotated[float, Field(gt=0, le=1)] = Field(
         default=0.9, description="Step over the stable step at the interval's start."
     )
+    cycle: PositiveTime | None = Field(
+        default=None,
+        description="What repeats in the motion takes this long: the way per cycle is reported.",
+    )
     time_step: PositiveTime | None = Field(
         default=None, description="A fixed step, refused where it is not stable."
     )

@@ -25,7 +25,12 @@ Hold = Literal["x", "y", "z", "turn_x", "turn_y", "turn_z"]
 SURFACE_OF = "rigid:"
 
 # Keys each shape has for its size.
-_SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
+_SIZES = {
+    "box": ("size",),
+    "wedge": ("size",),
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+}
 
 
 class RigidSpec(Table):
@@ -38,10 +43,18 @@ class RigidSpec(Table):
         default=None,
         description='Of a body with a shape; contacts call its surface "rigid:<name>".',
     )
-    shape: Literal["box", "sphere", "cylinder"] | None = None
+    shape: Literal["box", "wedge", "sphere", "cylinder"] | None = None
     size: tuple[PositiveLength, PositiveLength, PositiveLength] | None = Field(
-        default=None, description="Edges of a box along x, y, z before it is turned."
+        default=None,
+        description="Edges along x, y, z of a box before it is turned, or of that round a wedge.",
     )
+    front_angle: Angle | None = Field(
+        default=None,
+        description="Of a wedge's end at +x with the ground under it (default 90 deg, upright). "
+        'Its sides are surfaces of their own: "rigid:<name>/bottom", "/top", "/front", "/back", '
+        '"/flanks".',
+    )
+    back_angle: Angle | None = Field(default=None, description="The same at -x.")
     radius: PositiveLength | None = Field(default=None, description="Of a sphere or a cylinder.")
     length: PositiveLength | None = Field(default=None, description="Of a cylinder.")
     axis: Axis | None = Field(
@@ -142,6 +155,9 @@ class RigidSpec(Table):
                 )
             if key in given and key not in wanted:
                 raise ValueError(f"a {self.shape} has no {key}; it has {' and '.join(wanted)}")
+        for key in ("front_angle", "back_angle"):
+            if key in given and self.shape != "wedge":
+                raise ValueError(f"{key} belongs to a wedge")
         if self.axis is not None and self.shape != "cylinder":
             raise ValueError("axis belongs to a cylinder; turn a box by turn and turn_axis")
 

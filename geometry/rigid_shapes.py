@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -34,10 +34,13 @@ class RigidSurface:
         Positions from the body's centre [m], shape (node_count, 3).
     faces
         Corner quadruples, counter-clockwise seen from outside, shape (face_count, 4).
+    sides
+        Faces by the name of the side they are of, where a shape has such; together all of them.
     """
 
     nodes: np.ndarray
     faces: np.ndarray
+    sides: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def box_surface(size: tuple[float, float, float], mesh_size: float | None = None) -> RigidSurface:
@@ -58,6 +61,77 @@ def box_surface(size: tuple[float, float, float], mesh_size: float | None = None
             sketch.patch([half * c for c in corners], (counts[u], counts[v]))
 
     return _mesh(draw)
+
+
+def wedge_corners(
+    size: tuple[float, float, float], front_angle: float, back_angle: float
+) -> np.ndarray:
+    """Corners of a box whose ends along x are cut so that it stands on less than its length.
+
+    As the hexahedron (-1, 1)^3 orders them, about the middle of the box with edges `size` [m].
+    `front_angle` at +x and `back_angle` at -x [rad] are those of the ends with the ground under
+    it: 90 degrees is upright, and an end of 60 degrees lies flat once the wedge has been turned
+    by 60.
+    """
+    for axis, length in zip("xyz", size, strict=True):
+        check_positive(f"wedge size along {axis}", length, "m")
+    x, y, z = 0.5 * np.array(size)
+    cut = []
+    for name, angle in (("front_angle", front_angle), ("back_angle", back_angle)):
+        if not math.radians(10.0) <= angle <= 0.5 * math.pi + 1e-12:
+            raise InputError(f"{name} must lie in [10, 90] deg, got {math.degrees(angle):g} deg")
+        cut.append(2.0 * z / math.tan(angle))
+    front, back = cut
+    if not front + back < 2.0 * x:
+        raise InputError(
+            f"the wedge has no underside left: its ends cut off {1e3 * (front + back):.3g} mm of "
+            f"{2e3 * x:.3g} mm"
+        )
+    low = [(-x + back, -y), (x - front, -y), (x - front, y), (-x + back, y)]
+    high = [(-x, -y), (x, -y), (x, y), (-x, y)]
+    return np.array([(a, b, -z) for a, b in low] + [(a, b, z) for a, b in high])
+
+
+def wedge_surface(
+    size: tuple[float, float, float],
+    front_angle: float,
+    back_angle: float,
+    mesh_size: float | None = None,
+) -> RigidSurface:
+    """Surface of a wedge about the middle of its box, see `wedge_corners`.
+
+    Its `sides` are "bottom", "top", "front", "back" and "flanks". `mesh_size` as for a box.
+    """
+    corner = wedge_corners(size, front_angle, back_angle)
+    h = _size(mesh_size, max(min(size) / 4.0, max(size) / 16.0))
+    x, y, z = (_count(length, h) for length in size)
+    _check(2 * (x * y + y * z + z * x), h)
+    patches = {
+        "bottom": ((0, 1, 2, 3), (x, y)),
+        "top": ((4, 5, 6, 7), (x, y)),
+        "front": ((1, 2, 6, 5), (y, z)),
+        "back": ((0, 3, 7, 4), (y, z)),
+        "right": ((0, 1, 5, 4), (x, z)),
+        "left": ((3, 2, 6, 7), (x, z)),
+    }
+
+    def draw(sketch: _Sketch) -> None:
+        for numbers, counts in patches.values():
+            sketch.patch([corner[k] for k in numbers], counts)
+
+    surface = _mesh(draw)
+    middle = surface.nodes[surface.faces].mean(axis=1)
+    sides: dict[str, list[np.ndarray]] = {}
+    for name, (numbers, _) in patches.items():
+        a, b, c, _ = corner[list(numbers)]
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal)
+        on = np.abs((middle - a) @ normal) < 1e-6 * max(size)
+        key = "flanks" if name in ("right", "left") else name
+        sides.setdefault(key, []).append(surface.faces[on])
+    return RigidSurface(
+        surface.nodes, surface.faces, {key: np.concatenate(parts) for key, parts in sides.items()}
+    )
 
 
 def sphere_surface(radius: float, mesh_size: float | None = None) -> RigidSurface:
@@ -258,4 +332,6 @@ __all__ = [
     "box_surface",
     "cylinder_surface",
     "sphere_surface",
+    "wedge_corners",
+    "wedge_surface",
 ]

@@ -14,6 +14,7 @@ import pytest
 
 from flexapod.app import plots
 from flexapod.app.case import load_case, parse_case
+from flexapod.app.motion_flight import cycle_results
 from flexapod.app.motion_model import assemble_motion
 from flexapod.app.motion_robot import robot_results, station_names, step_results
 from flexapod.app.run import RunResult, run_case
@@ -305,7 +306,57 @@ def test_soft_robot_stands_on_its_legs() -> None:
     assert motion.model.contacts[1].pressing() > 0.0
 
 
+# --------------------------------------------------------------------------- feet
+
+
+def test_feet_have_sides_of_their_own() -> None:
+    """The arching robot's feet: weighed as wedges, each side under its own friction."""
+    motion = assemble_motion(load_case("arch"), None, print, settle=False)
+    assert motion.model.rigid.names == ("servo_1", "front", "rear")
+    pads, plastic = motion.model.contacts[:2]
+    assert pads.ground.friction.static == 0.9
+    assert plastic.ground.friction.static == 0.25
+    # On its back: the pads' faces are the front foot's lowest and the rear foot's end.
+    x = motion.state.x
+    front = motion.state.rigid_x[1]
+    assert front[0] > 0.1
+    low = x[pads.faces[: len(pads.faces) // 2]]
+    assert np.unique(np.round(low[:, :, 2], 6)).size == 1
+    assert x[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(InputError, match="rigid:front/bottom"):
+        wrong = load_case("arch", ['contact.0.surface=["rigid:front/sole"]'])
+        assemble_motion(wrong, None, print, settle=False)
+
+
+def test_wedges_are_weighed_by_their_shape() -> None:
+    """Layers against a box of the same size where both ends are upright, to round-off."""
+    from flexapod.app.motion_rigid import _wedge
+    from flexapod.dynamics.rigid import box
+    from flexapod.geometry.rigid_shapes import wedge_corners
+
+    size = (0.045, 0.1, 0.015)
+    volume, centre, inertia = _wedge(wedge_corners(size, 0.5 * math.pi, 0.5 * math.pi))
+    exact = box(size, 1.0)
+    assert volume == pytest.approx(exact[0], rel=1e-13)
+    np.testing.assert_allclose(centre, 0.0, atol=1e-16)
+    np.testing.assert_allclose(inertia, exact[1], rtol=1e-12, atol=1e-22)
+
+
 # --------------------------------------------------------------------------- results
+
+
+def test_ways_of_cycles() -> None:
+    """Three cycles of 30, 40 and 50 mm, and half of one that does not count."""
+    ends = [0.0, 30.0, 70.0, 120.0, 125.0]
+    rows = [
+        {"time_s": 2.0 * t, "centre_x_mm": x, "centre_y_mm": 0.0}
+        for t, x in zip((0.0, 1.0, 2.0, 3.0, 3.5), ends, strict=True)
+    ]
+    found = cycle_results(rows, 2.0)
+    assert found["displacement_of_cycles_m"] == pytest.approx([0.03, 0.04, 0.05])
+    assert found["displacement_per_cycle_m"] == pytest.approx(0.04)
+    assert found["largest_displacement_of_a_cycle_m"] == pytest.approx(0.05)
+    assert cycle_results(rows, 100.0) == {}
 
 
 def test_results_of_made_up_rows() -> None:

@@ -26,7 +26,8 @@ ROBOTS = {
     "stand", "walk_tripod", "walk_turn", "walk_turn_air", "spot_turn", "climb", "obstacle_70mm",
     "rubble", "pronk_earth", "pronk_mars", "pronk_moon", "roll_active",
 }  # fmt: skip
-MOVING = ROLLING | RINGS | ROBOTS | {"payload_drop"}  # the last is looked at in test_app_rigid
+# The last two are looked at in test_app_rigid and test_app_robot.
+MOVING = ROLLING | RINGS | ROBOTS | {"payload_drop", "arch"}
 
 
 @pytest.fixture(autouse=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,6 +15,8 @@ from flexapod.geometry.rigid_shapes import (
     box_surface,
     cylinder_surface,
     sphere_surface,
+    wedge_corners,
+    wedge_surface,
 )
 
 SIZE = (0.02, 0.03, 0.01)
@@ -113,3 +116,36 @@ def test_a_mesh_is_the_same_again() -> None:
 def test_refusals(make: Callable[[], RigidSurface], words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()
+
+
+def test_a_wedge_stands_on_less_than_its_length() -> None:
+    """Ends of 60 and 70 degrees: by hand, from the trapezoid's area and centre.
+
+    Heights h: the underside is shorter by h cot 60 + h cot 70, the volume the mean of both
+    lengths times h times the width. Flat sides: exact.
+    """
+    size = (0.045, 0.1, 0.015)
+    front, back = math.radians(60.0), math.radians(70.0)
+    surface = wedge_surface(size, front, back, 5e-3)
+    cut = [0.015 / math.tan(a) for a in (front, back)]
+    below = 0.045 - sum(cut)
+    volume, _ = _inside(surface)
+    assert volume == pytest.approx(0.5 * (0.045 + below) * 0.015 * 0.1, rel=1e-12)
+    low = surface.nodes[np.unique(surface.sides["bottom"])]
+    assert low[:, 2].max() == pytest.approx(-0.0075)
+    assert low[:, 0].min() == pytest.approx(-0.0225 + cut[1])
+    assert low[:, 0].max() == pytest.approx(0.0225 - cut[0])
+    assert sum(len(f) for f in surface.sides.values()) == len(surface.faces)
+    assert set(surface.sides) == {"bottom", "top", "front", "back", "flanks"}
+    # Turned by its angle, an end lies flat: its normal is (sin 60, 0, -cos 60).
+    corner = surface.nodes[surface.sides["front"]]
+    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    along = [[math.sin(front), 0.0, -math.cos(front)]] * len(normal)
+    np.testing.assert_allclose(normal, along, atol=1e-14)
+    box_nodes = wedge_corners(size, 0.5 * math.pi, 0.5 * math.pi)
+    np.testing.assert_allclose(np.abs(box_nodes), [[0.0225, 0.05, 0.0075]] * 8, atol=1e-15)
+    with pytest.raises(InputError, match="no underside left"):
+        wedge_corners((0.01, 0.1, 0.03), front, back)
+    with pytest.raises(InputError, match=r"front_angle must lie in \[10, 90\] deg, got 95"):
+        wedge_corners(size, math.radians(95.0), back)
