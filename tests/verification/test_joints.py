@@ -252,3 +252,65 @@ def test_bad_joints_are_named() -> None:
         Joint("leg", "torso", "foot", (0.0, 0.0, 0.0), axis=(0.0, 2.0, 0.0))
     with pytest.raises(InputError, match="stall_torque must be finite and > 0"):
         Servo(stall_torque=0.0)
+
+
+def test_body_on_held_legs_sags_as_statics_says() -> None:
+    """A soft bar bonded to a station between two legs that are held in space by their servos.
+
+    Statics: the same bar with the station's nodes fixed, under its weight. Bearings and gears give
+    way by weight over stiffness, 0.2 N over twice 500 N/mm or 2e-4 of the sag of 1 mm, and nothing
+    turns, by symmetry; after 12 e-foldings of the mass damping 1e-5 of the swing is left. Measured
+    1.6e-4.
+    """
+    from statics_helpers import TIGHT, grid, solid
+
+    from flexapod.dynamics.model import Damping
+    from flexapod.fem.loads import Displacement
+    from flexapod.fem.loads import gravity as weight_of
+    from flexapod.fem.static import LoadStep, PathOptions, StaticProblem, solve_path
+    from flexapod.materials.neo_hooke import NeoHooke
+
+    mesh = grid((9, 2, 2), lambda x: (x - [0.5, 0.5, 0.5]) * [0.09, 0.016, 0.012])
+    body = solid(mesh, NeoHooke(72.8e3), 0.45, 1080.0)
+    held = np.flatnonzero(np.abs(mesh.nodes[:, 0]) < 0.0051)
+    assert held.size == 18
+    gravity = (0.0, 0.0, -9.8)
+    fixed = [Displacement("station", held, axis) for axis in range(3)]
+    problem = StaticProblem(body, fixed, [weight_of("gravity", body.node_mass, gravity)])
+    answer = solve_path(problem, [LoadStep("weight", {"gravity": 1.0})], PathOptions(newton=TIGHT))
+    tip = int(np.argmax(mesh.nodes[:, 0] + mesh.nodes[:, 2]))
+    exact = float(answer.state.u[tip, 2])
+    assert exact < -2e-4
+
+    leg, station = box(LEG, 1200.0), box((0.01, 0.016, 0.012), 1080.0)
+    free = np.ones((3, 6), dtype=bool)
+    free[1:] = False  # the legs' feet stand
+    bodies = RigidBodies(
+        ("station", "left", "right"),
+        np.array([station[0], leg[0], leg[0]]),
+        np.array([station[1], leg[1], leg[1]]),
+        free,
+    )
+    centres = np.array([[0.0, 0.0, 0.0], [0.0, 0.02, -HIP], [0.0, -0.02, -HIP]])
+    joints = [
+        Joint("left", "station", "left", (0.0, 0.02, 0.0)),
+        Joint("right", "station", "right", (0.0, -0.02, 0.0)),
+    ]
+    model = Model(
+        body,
+        rigid=bodies,
+        rigid_centres=centres,
+        tied={"station": held},
+        joints=JointSystem(joints, bodies, centres, Still(0.0, 0.0)),
+        gravity=gravity,
+        damping=Damping(mass=60.0),
+    )
+    state = model.start()
+    march(model, state, Workspace(model), 80, Options(interval=5e-3))
+    assert state.u[tip, 2] == pytest.approx(exact, rel=5e-4)
+    # What the legs bear is the weight of all that does not stand: half each, by the bearings.
+    system = model.joints
+    assert system is not None
+    weight = 9.8 * (body.node_mass.sum() - body.node_mass[held].sum() + station[0])
+    bent = state.x[held].mean(axis=0)[2] - mesh.nodes[held].mean(axis=0)[2]
+    assert -bent == pytest.approx(weight / (2.0 * 5e5), rel=0.02)
