@@ -227,7 +227,7 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
     put_value(table, key, parse_value(text), f"--set {key.strip()}")
 
 
-def put_value(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+def put_value(table: dict[str, Any] | list[Any], key: str, value: Any, where: str) -> None:
     """Put a value at ``key.path`` of a table; list items go by index, by name, or all by "*"."""
     parts = [part.strip() for part in key.strip().split(".")]
     target: Any = table

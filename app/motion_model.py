@@ -160,6 +160,8 @@ def assemble_motion(
         from flexapod.app.motion_robot import rigid_torso
 
         torso = rigid_torso(loaded)
+        if torso.left_out:
+            say(f"a rigid body has no use for {', '.join(torso.left_out)}: left out")
         loaded, mesh, start = torso.loaded, torso.mesh, None
         case = loaded.case
     else:

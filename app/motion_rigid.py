@@ -279,9 +279,10 @@ def _shaped(spec: RigidSpec, where: str) -> RigidBody:
         elif spec.shape == "wedge":
             assert spec.size is not None
             upright = 0.5 * math.pi
-            ends = [upright if a is None else a for a in (spec.front_angle, spec.back_angle)]
-            volume, centre, inertia = _wedge(wedge_corners(spec.size, *ends))
-            unit, surface = (volume, inertia), wedge_surface(spec.size, *ends, size)
+            front = upright if spec.front_angle is None else spec.front_angle
+            back = upright if spec.back_angle is None else spec.back_angle
+            volume, centre, inertia = _wedge(wedge_corners(spec.size, front, back))
+            unit, surface = (volume, inertia), wedge_surface(spec.size, front, back, size)
             surface = dataclasses.replace(surface, nodes=surface.nodes - centre)
         elif spec.shape == "sphere":
             assert spec.radius is not None

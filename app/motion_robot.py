@@ -228,6 +228,7 @@ class Torso:
     mesh: TaggedMesh
     body: RigidBody
     stations: TaggedMesh  # the mesh that knows the stations
+    left_out: list[str]  # tables that a rigid body has no use for
 
 
 def rigid_torso(loaded: LoadedCase) -> Torso:
@@ -252,7 +253,7 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
     mass, centre, inertia, middle = together(nodal, fine.nodes)
     mesh = box_mesh(fine.nodes.min(axis=0), fine.nodes.max(axis=0), _TORSO_CELLS)
     everywhere = [spec for spec in case.material if spec.group == "*"] or list(case.material)
-    changes = {
+    changes: dict[str, Any] = {
         "mesh": whole,
         "material": (everywhere[0].model_copy(update={"group": "*"}),),
         "rigid": (),
@@ -263,11 +264,16 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
         "probe": (),
         "contact": tuple(c for c in case.contact if c.type == "ground"),
     }
+    left_out = [
+        key
+        for key, value in changes.items()
+        if key not in ("mesh", "material", "mass") and len(value) < len(getattr(case, key))
+    ]
     if case.start is not None:
         changes["start"] = case.start.model_copy(update={"case": None, "unfold": ()})
     changed = LoadedCase(case.model_copy(update=changes), loaded.source, loaded.folder)
     body = RigidBody(mass, centre, inertia, middle, tied=np.arange(len(mesh.nodes)))
-    return Torso(changed, mesh, body, fine)
+    return Torso(changed, mesh, body, fine, left_out)
 
 
 def box_mesh(low: np.ndarray, high: np.ndarray, counts: tuple[int, int, int]) -> TaggedMesh:
