@@ -190,7 +190,7 @@ def _schema_of(cls: Any) -> dict[str, Any]:
 
 def build_mesh(loaded: LoadedCase) -> TaggedMesh:
     """Build or read the mesh of a case."""
-    spec = loaded.case.mesh
+    spec = loaded.case.sized_mesh
     if spec is None:
         raise InputError("a ring has no mesh of its own to build", loaded.source)
     if spec.builder is not None:

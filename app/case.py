@@ -137,8 +137,7 @@ def _extended(table: dict[str, Any], path: Path, above: tuple[Path, ...] = ()) -
         return table
     if not isinstance(name, str):
         raise InputError(f"must be the name of a case, got {name!r}", f"{path}: extends")
-    beside = path.resolve().parent / name
-    other = find_case(str(beside) if beside.is_file() else name)
+    other = _base_case(name, path)
     if other.resolve() == path.resolve():
         raise InputError("a case cannot extend itself", f"{path}: extends")
     try:
@@ -147,15 +146,49 @@ def _extended(table: dict[str, Any], path: Path, above: tuple[Path, ...] = ()) -
         raise InputError(f"extends: {other} cannot be read: {error}", str(path)) from None
     if len(above) > 8:
         raise InputError("extends cases without end", f"{path}: extends")
-    return _laid_over(_extended(source, other, (*above, path)), table)
+    base = _extended(source, other, (*above, path))
+    _with_absolute_files(base, other.resolve().parent)
+    return _laid_over(base, table)
+
+
+def _base_case(name: str, path: Path) -> Path:
+    """A case beside `path`, or a shipped one; never one that lies where the user happens to be."""
+    beside = path.resolve().parent / name
+    if beside.is_file():
+        return beside
+    entry = files("flexapod.cases") / f"{name.removesuffix('.toml')}.toml"
+    if Path(name).parent == Path() and entry.is_file():
+        with as_file(entry) as shipped:
+            return shipped
+    raise InputError(
+        f'no such case beside it or among the shipped ones: "{name}"; shipped: '
+        f"{', '.join(shipped_cases())}",
+        f"{path}: extends",
+    )
+
+
+def _with_absolute_files(table: dict[str, Any], folder: Path) -> None:
+    """Paths in the tables of a case that lies in `folder`, made absolute in place."""
+    places = [
+        *((item, "file") for item in _tables(table.get("contact"))),
+        *((item, "use") for item in _tables(table.get("material"))),
+        *((table[key], "file") for key in ("mesh", "reference") if key in table),
+        *((table[key], "case") for key in ("start",) if key in table),
+    ]
+    for item, key in places:
+        text = item.get(key) if isinstance(item, dict) else None
+        if isinstance(text, str) and (folder / text).is_file():
+            item[key] = str((folder / text).resolve())
 
 
 def _laid_over(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     both = dict(base)
     for key, value in table.items():
         below = both.get(key)
-        # A table with a type of its own is another kind of thing, and takes nothing over.
-        deep = isinstance(value, dict) and isinstance(below, dict) and "type" not in value
+        deep = isinstance(value, dict) and isinstance(below, dict)
+        # A table of another type is another thing, and takes nothing over.
+        if deep and value.get("type", below.get("type")) != below.get("type"):
+            deep = False
         both[key] = _laid_over(below, value) if deep else value  # type: ignore[arg-type]
     return both
 
@@ -180,6 +213,7 @@ def _inherit(table: dict[str, Any], path: Path) -> None:
         source = tomllib.loads(other.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, OSError, UnicodeDecodeError) as error:
         raise InputError(f"start.case cannot be read: {error}", str(path)) from None
+    source = _extended(source, other)
     for key in ("mesh", "material", "mass"):
         if key not in table and key in source:
             table[key] = source[key]

@@ -57,7 +57,10 @@ def run_motion(
             summary = _short_summary(loaded, out, began, status, message)
             folder.write_summary(summary)
             return status, message, summary
-    recorder = Recorder(loaded, motion, folder, lean)
+    for notice in motion.notices:
+        say(notice)
+        notices.append(notice)
+    recorder = Recorder(motion.loaded or loaded, motion, folder, lean)
     cells, nodes, lines = motion.size
     parts = [f"{count} {name}" for count, name in ((cells, "hexahedra"), (lines, "lines")) if count]
     say(f"{', '.join(parts)}, {nodes} nodes")

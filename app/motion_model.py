@@ -53,6 +53,8 @@ class Motion:
     rigid: RigidParts
     ring: RingParts | None = None
     robot: RobotParts | None = None
+    loaded: LoadedCase | None = None  # where it is not the case as written: of a rigid body
+    notices: list[str] = dataclasses.field(default_factory=list)
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -106,6 +108,10 @@ def start_shape(
         # The body that moves is the body that was inflated: one mesh, one material.
         if key in own:
             table[key] = own[key]
+    if "mesh" in own and loaded.case.sized_mesh is not None:
+        table["mesh"] = loaded.case.sized_mesh.model_dump(
+            mode="json", by_alias=True, exclude_none=True
+        )
     from flexapod.app.case import parse_case
 
     static = LoadedCase(parse_case(table, name), static.source, static.folder)
@@ -156,12 +162,13 @@ def assemble_motion(
 
         return ring_motion(loaded)
     torso: Torso | None = None
+    notices: list[str] = []
     if _rigid_bodied(loaded):
         from flexapod.app.motion_robot import rigid_torso
 
         torso = rigid_torso(loaded)
         if torso.left_out:
-            say(f"a rigid body has no use for {', '.join(torso.left_out)}: left out")
+            notices.append(f"a rigid body has no use for {', '.join(torso.left_out)}: left out")
         loaded, mesh, start = torso.loaded, torso.mesh, None
         case = loaded.case
     else:
@@ -258,7 +265,20 @@ def assemble_motion(
     robot = None
     if case.robot is not None:
         robot = motion_robot.RobotParts(model, rigid, case.robot.marker)
-    return Motion(mesh, body, model, state, work, ground, total, shape, rigid, robot=robot)
+    return Motion(
+        mesh,
+        body,
+        model,
+        state,
+        work,
+        ground,
+        total,
+        shape,
+        rigid,
+        robot=robot,
+        loaded=None if torso is None else loaded,
+        notices=notices,
+    )
 
 
 def _settle(

@@ -149,8 +149,8 @@ class Recorder:
             self.sample_start = x.copy()
         rotation = best_rotation(self.sample_start, x)
         self.turn = unwrap(angle_about(rotation, "y"), self.turn)
-        # Where the body's x axis points on the map, positive to the left.
-        self.yaw = unwrap(math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])), self.yaw)
+        # By the body's axis across, which stays level as it rolls over; positive to the left.
+        self.yaw = unwrap(math.degrees(math.atan2(-rotation[0, 1], rotation[1, 1])), self.yaw)
         return self.turn
 
     def record(self, state: State) -> None:

@@ -63,7 +63,9 @@ def with_rigid_stations(loaded: LoadedCase, mesh: TaggedMesh) -> LoadedCase:
     rigid = [
         spec
         for spec in case.rigid
-        if spec.group is None or not own.issuperset(_matching(mesh, spec.group))
+        if spec.group is None
+        or not set(_matching(mesh, spec.group))
+        or not own.issuperset(_matching(mesh, spec.group))
     ]
     stations = [RigidSpec(group=name) for name in station_names(loaded, mesh)]
     changed = case.model_copy(update={"rigid": (*rigid, *stations)})
@@ -211,7 +213,23 @@ def make_joints(loaded: LoadedCase, legs: Legs, rigid: RigidParts) -> JointSyste
     except InputError as error:
         raise InputError(str(error), f"{loaded.source}: gait") from None
     rows = np.array(legs.numbers, dtype=np.int64) - 1
+    if len(set(rows % 2)) == 1:
+        _check_alike(gait, f"{loaded.source}: gait")
     return JointSystem(legs.joints, rigid.bodies, rigid.centres, LegTargets(gait, rows))
+
+
+def _check_alike(gait: Any, where: str) -> None:
+    """Of half a robot left and right legs must do the same."""
+    period = gait.period if math.isfinite(gait.period) else 1.0
+    end = gait.end if math.isfinite(gait.end) else 3.0 * period
+    for time in np.linspace(0.0, end, 301):
+        angles = np.asarray(gait.targets(float(time)))
+        if np.abs(angles[::2] - angles[1::2]).max() > 1e-9:
+            raise InputError(
+                "half of a robot is modelled, and this gait moves left and right legs differently: "
+                "model the whole, without support and mirror at y = 0",
+                where,
+            )
 
 
 # --------------------------------------------------------------------------- a rigid torso
@@ -245,7 +263,9 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
             "a rigid body needs a [mesh] with a builder, whose stations are known by name",
             f"{loaded.source}: robot.body",
         )
-    whole = case.mesh.model_copy(update={"symmetry": "whole"})
+    sized = case.sized_mesh
+    assert sized is not None
+    whole = sized.model_copy(update={"symmetry": "whole"})
     plain = LoadedCase(case.model_copy(update={"mesh": whole}), loaded.source, loaded.folder)
     fine = build_mesh(plain)
     soft = SolidBody(fine, make_materials(plain, fine))
@@ -262,13 +282,14 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
         "mass": (),
         "bond": (),
         "probe": (),
-        "contact": tuple(c for c in case.contact if c.type == "ground"),
     }
     left_out = [
         key
         for key, value in changes.items()
         if key not in ("mesh", "material", "mass") and len(value) < len(getattr(case, key))
     ]
+    if any(c.type != "ground" for c in case.contact):
+        left_out.append("contact between faces")
     if case.start is not None:
         changes["start"] = case.start.model_copy(update={"case": None, "unfold": ()})
     changed = LoadedCase(case.model_copy(update=changes), loaded.source, loaded.folder)
@@ -323,7 +344,7 @@ class RobotParts:
     def columns(self, model: Model, state: State) -> dict[str, float]:
         """Place of the marked point; angles, torques and powers of the legs; books of the servos.
 
-        Torque is the motor's, power that times the rotor's rate, half a step old.
+        Torque is the motor's, power that times the rotor's rate, half a step ahead.
         """
         from flexapod.dynamics import joint_kernels as jk
 

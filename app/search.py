@@ -84,6 +84,12 @@ class Range:
             )
         if not (low < high or (climb and low > high)) or not tolerance > 0.0:
             raise InputError("needs low < high and tolerance > 0", where)
+        if climb and min(low, high) < 0.0 and max(low, high) >= 0.0:
+            raise InputError(
+                "a slope that rises towards +x is negative: begin with a small one of that sign, "
+                f"such as -1 {unit}",
+                where,
+            )
         for value in (low, high):
             with_value(loaded, spec.key, f"{value:.10g} {unit}")
         return cls(low, high, tolerance, unit)

@@ -241,6 +241,12 @@ class PressureSpec(_NamedLoad):
     )
     pump: PumpSpec | None = None
 
+    @model_validator(mode="after")
+    def _pumped_whole(self) -> PressureSpec:
+        if self.between is not None and self.pump is not None:
+            raise ValueError("between and pump: a pump fills all chambers of a surface")
+        return self
+
 
 def _with_length(value: Triple) -> Triple:
     if not 0.0 < math.hypot(*value) < math.inf:
@@ -525,17 +531,20 @@ class Case(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _a_robot_has_its_mesh(cls, data: Any) -> Any:
-        """The mesh is as fine as the robot's body asks for, where [mesh] does not say."""
-        if not isinstance(data, dict):
-            return data
-        robot, mesh = data.get("robot"), data.get("mesh")
-        if not (isinstance(robot, dict) and isinstance(mesh, dict)):
-            return data
-        size = SIZES.get(robot.get("body", "coarse"))
-        if "builder" not in mesh or "size" in mesh or size is None:
-            return data
-        return {**data, "mesh": {**mesh, "size": size}}
+    def _a_robot_is_set_down(cls, data: Any) -> Any:
+        """Without [start] its legs would begin in the ground."""
+        if isinstance(data, dict) and "robot" in data and "start" not in data:
+            return {**data, "start": {}}
+        return data
+
+    @property
+    def sized_mesh(self) -> MeshSpec | None:
+        """The mesh, as fine as a robot's body asks for where [mesh] does not say."""
+        mesh, robot = self.mesh, self.robot
+        if mesh is None or robot is None or mesh.builder is None or "size" in mesh.options:
+            return mesh
+        table = mesh.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return MeshSpec.model_validate({**table, "size": SIZES[robot.body]})
 
     @model_validator(mode="before")
     @classmethod
@@ -683,6 +692,8 @@ class Case(Table):
                 "search": self.search,
                 "sweep": self.sweep,
                 "robot": self.robot,
+                "gait": self.gait,
+                "between of pressure": [p for p in self.pressure if p.between is not None],
                 'contact of type "ground"': [c for c in self.contact if c.type == "ground"],
                 **{
                     f"{key} of a contact between faces": [
@@ -704,6 +715,8 @@ class Case(Table):
             return
         if (self.robot is None) != (self.gait is None):
             raise ValueError("robot and gait: a robot needs a gait, and a gait a robot")
+        if self.robot is not None:
+            self._robot_agrees()
         if self.search is not None and self.sweep is not None:
             raise ValueError("search and sweep: a case has one of them")
         still = {
@@ -726,8 +739,31 @@ class Case(Table):
         if double:
             raise ValueError(f"bond names must differ; used twice: {', '.join(double)}")
         closed = [bond.name for bond in self.bond if bond.closed]
-        if closed and (self.start is None or self.start.settle == 0.0):
+        start = self.start
+        if closed and (start is None or start.case is None or start.settle == 0.0):
             raise ValueError(
                 f"bond {closed[0]} has to be drawn together while a start shape settles: give a "
-                "[start] with settle, or write closed = false"
+                "[start] with case and settle, or write closed = false"
+            )
+
+    def _robot_agrees(self) -> None:
+        """One ground under body and soles, and no name twice."""
+        assert self.robot is not None
+        if any(probe.name == "marker" for probe in self.probe):
+            raise ValueError('probe "marker": the robot\'s marked point has this name already')
+        grounds = [c for c in self.contact if c.type == "ground"]
+        keys = ("shape", "slope", "level", "step_at", "step_height", "file", "spacing", "relief")
+        for other in grounds[1:]:
+            for key in keys:
+                one, two = getattr(grounds[0], key), getattr(other, key)
+                if one != two:
+                    raise ValueError(
+                        f"contact: the ground under a robot is one, and {key} differs: {one} and "
+                        f"{two}; --set contact.*.{key}=... sets all"
+                    )
+        rigid = self.robot.body == "rigid"
+        if rigid and self.start is not None and self.start.case is not None:
+            raise ValueError(
+                f'robot.body = "rigid" has no start shape: leave out start.case '
+                f"({self.start.case}) or choose another body"
             )

@@ -65,7 +65,8 @@ class RigidSpec(Table):
     position: tuple[Length, Length, Length] | None = Field(
         default=None,
         description="Centre at the start of the motion, in space: where a [start] shape has been "
-        "turned and set down. Of a tied body: in the undeformed body, with which it goes along.",
+        "turned and set down. Of a tied body: in the undeformed body, with which it goes along. "
+        "Of a wedge: its centre of mass.",
     )
     turn: Angle | None = Field(
         default=None, description="Turned by this about `turn_axis` (default: not at all)."

@@ -11,6 +11,7 @@ from flexapod.app.spec_base import Names, Table, default_text, one_or_many
 from flexapod.core.units import (
     Angle,
     Inertia,
+    IntegralGain,
     Length,
     Mass,
     Modulus,
@@ -24,7 +25,7 @@ from flexapod.core.units import (
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
-# What a contact calls the soles of all legs, as surfaces of rigid bodies.
+# Name of a leg as a rigid body, by its number.
 LEG_NAME = "leg_{}"
 # Legs by station, back to front, left and right: odd numbers left, pair {1, 2} in front.
 LEGS = ((5, 6), (3, 4), (1, 2))
@@ -35,8 +36,7 @@ TORSO = "torso"
 class LegsSpec(Table):
     """Six C-shaped legs, a pair to a station. The robot looks towards +x; left is y > 0.
 
-    Left means the left legs, seen from the robot. The chambers' names are those of the body's
-    builder, where "right" is y > 0.
+    The chambers' names are those of the body's builder, where "right" is y > 0.
     """
 
     stations: Names = Field(
@@ -86,8 +86,8 @@ class ServoSpec(Table):
         default=default_text("28.1 N m/rad"),
         description="Gain: the stall torque at 5 degrees (assumed).",
     )
-    integral: Annotated[float, Field(ge=0)] = Field(
-        default=0.0, description="Gain [N m/(rad s)] of the error's integral."
+    integral: IntegralGain = Field(
+        default=default_text("0 N m/rad/s"), description="Gain of the error's integral."
     )
     derivative: TorsionDamping | None = Field(
         default=None, description="Gain of the error's rate (default: critical for the rotor)."
@@ -114,6 +114,13 @@ class ServoSpec(Table):
     axis_stiffness: TorsionStiffness = Field(
         default=default_text("200 N m/rad"), description="Of the axis against tilting (assumed)."
     )
+
+    @field_validator("integral", "derivative")
+    @classmethod
+    def _not_negative(cls, value: float | None) -> float | None:
+        if value is not None and value < 0.0:
+            raise ValueError(f"a gain must be >= 0, got {value:g}")
+        return value
 
     @field_validator("no_load_speed")
     @classmethod

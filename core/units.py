@@ -254,6 +254,7 @@ TorsionStiffness = Annotated[
     float, Quantity("torsional stiffness", "N m/rad", "200 N m/rad", positive=True)
 ]
 TorsionDamping = Annotated[float, Quantity("torsional damping", "N m s/rad", "0.5 N m s/rad")]
+IntegralGain = Annotated[float, Quantity("integral gain", "N m/rad/s", "50 N m/rad/s")]
 Inertia = Annotated[float, Quantity("moment of inertia", "kg m^2", "0.003 kg m^2", positive=True)]
 ForceRate = Annotated[float, Quantity("rate of a force", "N/s", "150 mN/s", positive=True)]
 

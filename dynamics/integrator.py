@@ -224,6 +224,11 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
             model.nodes, state.lines, work.inverse_mass, work.springs, work.dashpots
         )
     _gather_owned(model, work)
+    if model.joints is not None:
+        # The bodies they hold may be in elements and in contact too: bounds of sums add up.
+        spring, dashpot = model.joints.rates()
+        work.springs += spring
+        work.dashpots += dashpot
     half = 0.5 * work.dashpots
     square = float(((half + np.sqrt(half * half + work.springs)) ** 2).max(initial=0.0))
     if model.internal is not None:
@@ -239,11 +244,6 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
                 f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m has no finite stiffness",
             )
         square = max(square, float(work.rates[worst]))
-    if model.joints is not None:
-        # The bodies they hold may be in elements and in contact too: bounds of sums add up.
-        spring, dashpot = model.joints.rates()
-        half_sum = 0.5 * dashpot
-        square += (half_sum + math.sqrt(half_sum * half_sum + spring)) ** 2
     return math.sqrt(square)
 
 

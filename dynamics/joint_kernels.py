@@ -18,7 +18,7 @@ ends, and torques come in pairs. Velocities are half a step old, as everywhere i
 Arrays, n joints: `bodies` (n, 2) rows of parent and child; `arms` (n, 2, 3) from each body's
 centre to the joint [m], `axes` (n, 3) and `references` (n, 3) unit vectors across each other, both
 alike in the body axes of parent and child, which agree where the angle is zero; `stiffness` (n,
-7), see the indices; `servo` (n, 7), see the indices.
+STIFFNESS) and `servo` (n, SERVO), see the indices.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ STIFFNESS = 6
 # Columns of `servo`: gains of the controller, what the motor can give, reflected inertia.
 PROPORTIONAL, INTEGRAL, DERIVATIVE, STALL, NO_LOAD, INERTIA = range(6)
 SERVO = 6
-# Columns of a joint's `motion` (n, 6): angle of the child, of the rotor [rad], the rotor's rate,
-# the integral of the error [rad s], motor and gear torque [N m].
-ANGLE, ROTOR, RATE, SUM, MOTOR, GEAR = range(6)
-MOTION = 6
+# Columns of a joint's `motion` (n, 7): angle of the child, of the rotor [rad], the rotor's rate,
+# the integral of the error [rad s], motor and gear torque [N m], and what the controller asked for
+# beyond what the motor gives [N m].
+ANGLE, ROTOR, RATE, SUM, MOTOR, GEAR, BEYOND = range(7)
+MOTION = 7
 # Entries of `spent`: work of the motors, what dashpots took [J], and, of the servos, only the
 # positive part of the motors' work: what a battery that takes nothing back has to give.
 WORK, LOSS, DRAWN = range(3)
@@ -84,32 +85,6 @@ def spins(inertia: Any, free: Any, rigid_q: Any, rigid_l: Any, rotation: Any, om
 
 
 @kernel
-def angles(bodies: Any, axes: Any, references: Any, rotation: Any, before: Any, out: Any) -> None:
-    """Fill `out` (n,) with the children's angles [rad], the whole turns nearest to `before` (n,).
-
-    The angle is that of both references about the mean of both axes.
-    """
-    a, b = np.empty(3), np.empty(3)
-    e, f = np.empty(3), np.empty(3)
-    c = np.empty(3)
-    for j in range(bodies.shape[0]):
-        p, q = bodies[j, 0], bodies[j, 1]
-        _frame(rotation[p], axes[j], a)
-        _frame(rotation[q], axes[j], b)
-        _frame(rotation[p], references[j], e)
-        _frame(rotation[q], references[j], f)
-        _cross(e, f, c)
-        sine = 0.0
-        cosine = 0.0
-        for i in range(3):
-            sine += 0.5 * (a[i] + b[i]) * c[i]
-            cosine += e[i] * f[i]
-        angle = math.atan2(sine, cosine)
-        turns = math.floor((before[j] - angle) / (2.0 * math.pi) + 0.5)
-        out[j] = angle + 2.0 * math.pi * turns
-
-
-@kernel
 def motor_torque(wanted: float, rate: float, stall: float, no_load: float) -> float:
     """What a motor gives of a `wanted` torque [N m] at a rate [rad/s].
 
@@ -150,12 +125,12 @@ def joint_loads(
     rigid_x, rigid_v, rotation, omega
         Of the bodies, as in `rigid_kernels` and `spins`.
     motion
-        Shape (n, MOTION): ANGLE, MOTOR and GEAR are written.
+        Shape (n, MOTION): ANGLE, MOTOR, GEAR and BEYOND are written.
     load
         Overwritten: force and torque about the centre of each body, shape (body_count, 6).
     damping
-        Overwritten: the part of it that dashpots and gears' torques make, shape (n, 2, 6), of
-        parent and child; what the ledger counts as work.
+        Overwritten: the part of it that dashpots make, the gears' too, shape (n, 2, 6), of parent
+        and child; what the ledger counts as loss.
     stored
         Overwritten, shape (4,), see the indices.
     axis
@@ -246,6 +221,7 @@ def joint_loads(
             + servo[j, DERIVATIVE] * (target_rate[j] - rotor_rate)
         )
         motion[j, MOTOR] = motor_torque(wanted, rotor_rate, servo[j, STALL], servo[j, NO_LOAD])
+        motion[j, BEYOND] = wanted - motion[j, MOTOR]
         motion[j, GEAR] = spring + dashpot
         for i in range(6):
             load[p, i] += damping[j, 0, i]
@@ -295,8 +271,7 @@ def kick_rotors(
         spent[LOSS] += h * lost
         # No winding up while the motor cannot follow: its torque is not what is asked for.
         wanted = target[j] - motion[j, ROTOR]
-        stalled = abs(motion[j, MOTOR]) >= servo[j, STALL] * (1.0 - 1e-12)
-        if not (stalled and wanted * motion[j, MOTOR] > 0.0):
+        if not wanted * motion[j, BEYOND] > 0.0:
             motion[j, SUM] += h * wanted
     return energy
 

@@ -56,7 +56,7 @@ class Servo:
     gear_stiffness
         [N m/rad] between rotor and leg. Default: 0.7 degrees at stall (assumed).
     gear_damping
-        Share of critical damping of the rotor on its gear.
+        Share of critical damping of the child on its gear.
     """
 
     proportional: float = 25.0 * KG_CM / math.radians(5.0)
@@ -166,7 +166,15 @@ class JointSystem:
                         f"there is no rigid body {body!r}; there is: {', '.join(rows) or 'none'}",
                         f"joint {joint.name}",
                     )
+            if joint.parent == joint.child:
+                raise InputError(f"{joint.child!r} cannot be its own parent", f"joint {joint.name}")
         children = [joint.child for joint in self.joints]
+        for place, joint in enumerate(self.joints):
+            if joint.parent in children[place + 1 :]:
+                raise InputError(
+                    f"its parent {joint.parent!r} hangs on a later joint: put that one first",
+                    f"joint {joint.name}",
+                )
         double = sorted({name for name in children if children.count(name) > 1})
         if double:
             raise InputError(f"bodies are children of two joints: {', '.join(double)}")

@@ -475,7 +475,7 @@ class State:
             self.lines["spent"][:] = 0.0
         if self.joints:
             self.joints["spent"][:] = 0.0
-            self.joints["motion"][:, (joint_kernels.RATE, joint_kernels.SUM)] = 0.0
+            self.joints["motion"][:, joint_kernels.RATE] = 0.0
         for array in (self.v, self.rigid_v, self.rigid_l, self.works):
             array[:] = 0.0
         self.interval = self.step_count = 0

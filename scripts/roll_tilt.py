@@ -41,13 +41,17 @@ def main() -> None:
     args = parser.parse_args()
     loaded = load_case(args.case, args.set)
     run = loaded.case.dynamics
-    assert run is not None
+    if run is None:
+        parser.error(f"{args.case} is no case that moves")
+    if args.way < 2.0 * WINDOW:
+        parser.error(f"--way must be at least {2.0 * WINDOW:g} mm")
     args.out.mkdir(parents=True, exist_ok=True)
     start = start_shape(loaded, args.out, False, print)
     motion = assemble_motion(loaded, start, print)
     model, state, work = motion.model, motion.state, motion.work
     strength = float(np.linalg.norm(model.gravity))
     begin = centre(model, state)[0]
+    model.gravity = np.array([0.0, 0.0, -strength])
     rows: list[dict[str, float]] = []
     tilt, share, pace = 0.0, 0.0, 1e-3 * args.pace
 
@@ -101,9 +105,9 @@ def needed_tilt(rows: list[dict[str, float]], weight: float) -> tuple[np.ndarray
     """Way [mm] and the tilt [deg] that the body needs there."""
     columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     x = 1e-3 * columns["way_mm"]
-    # The tilt of a row was set for the interval before it.
+    # The tilt of a row acts until the next one.
     push = weight * np.sin(np.radians(columns["tilt_deg"]))
-    work = np.concatenate([[0.0], np.cumsum(push[1:] * np.diff(x))])
+    work = np.concatenate([[0.0], np.cumsum(push[:-1] * np.diff(x))])
     asked = work - columns["kinetic_J"] - columns["mass_damping_loss_J"]
     places = np.arange(0.5 * WINDOW, 1e3 * x.max() - 0.5 * WINDOW, 0.5)
     slopes = []

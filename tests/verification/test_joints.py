@@ -122,7 +122,12 @@ def test_free_robot_keeps_its_momentum_and_its_books() -> None:
 
 
 def test_joint_holds_point_and_axis() -> None:
-    """Both ends part by force over stiffness: under 10 g of acceleration less than 0.02 mm."""
+    """Both ends part by force over stiffness.
+
+    A leg of 8.6 g under its weight and the swing's centripetal 9^2 x 0.6^2 x 20 mm (0.6 m/s2):
+    under 0.1 N, or 0.2 um; what its start rings adds as much again. Sideways it leans by weight
+    times half its width over 200 N m/rad, 3e-6 rad.
+    """
     model, state, work = two_legged(Swing(0.0, 3.0), gravity=(0.0, 0.0, -9.8))
     options = Options(interval=1e-3)
     march(model, state, work, 300, options)
@@ -132,9 +137,9 @@ def test_joint_holds_point_and_axis() -> None:
         0.0, model.rigid, state.rigid_x, state.rigid_q, state.rigid_v, state.rigid_l, state.joints
     )
     apart = math.sqrt(2.0 * system.stored[jk.POINTS] / system.stiffness[0, jk.POINT_SPRING])
-    assert apart < 2e-5
+    assert apart < 1e-6
     tilt = math.sqrt(2.0 * system.stored[jk.AXES] / system.stiffness[0, jk.AXIS_SPRING])
-    assert tilt < 1e-3
+    assert tilt < 1e-4
 
 
 def test_step_response_is_that_of_the_linear_oscillator() -> None:
@@ -219,6 +224,18 @@ def test_held_leg_sags_by_the_controllers_stiffness() -> None:
     assert sag < 0.01 * torque / servo.proportional
 
 
+def test_the_integral_does_not_wind_up_while_the_motor_is_at_its_limit() -> None:
+    """On the way to a far target the limit is the motor's line, below the stall torque."""
+    servo = Servo(integral=50.0)
+    model, state, work = two_legged(Jump(3.0, 3.0), servo, torso_free=False)
+    for k in range(1, 400):
+        march(model, state, work, k, Options(interval=1e-3))
+        motion = state.joints["motion"]
+        if motion[0, jk.ROTOR] < 2.5:
+            assert motion[0, jk.SUM] == 0.0
+    assert motion[0, jk.ROTOR] > 2.5
+
+
 def test_turns_are_counted_and_a_state_comes_back() -> None:
     """Three turns on, and a state that went through arrays goes on with the same bits."""
 
@@ -247,6 +264,10 @@ def test_bad_joints_are_named() -> None:
     with pytest.raises(InputError, match=r"joint leg: there is no rigid body 'foot'.*torso"):
         JointSystem(
             [Joint("leg", "torso", "foot", (0.0, 0.0, 0.0))], bodies, np.zeros((1, 3)), Still(0.0)
+        )
+    with pytest.raises(InputError, match="cannot be its own parent"):
+        JointSystem(
+            [Joint("leg", "torso", "torso", (0.0, 0.0, 0.0))], bodies, np.zeros((1, 3)), Still(0.0)
         )
     with pytest.raises(InputError, match="axis must have length 1"):
         Joint("leg", "torso", "foot", (0.0, 0.0, 0.0), axis=(0.0, 2.0, 0.0))
