@@ -38,6 +38,10 @@ class _Rests(Exception):
     """The body has come to rest."""
 
 
+# Durations a calm trial may take until it is decided: near the threshold a damped body is as slow
+# as one likes, and one that still creeps does not stay.
+PATIENCE = 4
+
 # Intervals for which the centre must be slow to count as at rest: a body that rocks stands still
 # for a moment at each end of its way.
 REST_INTERVALS = 10
@@ -119,6 +123,7 @@ class _Trials:
         self.loaded, self.spec, self.start, self.text = loaded, spec, start, text
         self.goes_on = spec.key.split(".")[0] == "gravity"
         self.rested = low  # value at which `state` rests
+        self.notices: list[str] = []  # trials that time decided
         self.motion: Motion | None = None
         self.begin: np.ndarray | None = None
         self.shape: Shape | None = None
@@ -160,21 +165,29 @@ class _Trials:
 
         def interval_done(state: State) -> None:
             if ease > 0.0:
-                share = min(1.0, state.time / ease)
-                model.gravity = before + share * share * (3.0 - 2.0 * share) * (after - before)
-            tell(state.time / run.duration, {"value": value, **watch.row(state.time)})
+                eased = min(1.0, state.time / ease)
+                model.gravity = before + eased * eased * (3.0 - 2.0 * eased) * (after - before)
+            share = min(1.0, state.time / run.duration)
+            tell(share, {"value": value, **watch.row(state.time)})
             watch.look(state, eased=state.time >= ease)
 
         gone = 0.0
+        calm = self.motion is not None
         try:
             march(
                 model,
                 state,
                 Workspace(model),
-                round(run.duration / run.interval),
+                (PATIENCE if calm else 1) * round(run.duration / run.interval),
                 Options(run.interval, run.safety, run.time_step),
                 interval_done=interval_done,
             )
+            if calm:
+                self.notices.append(
+                    f"at {self.text(value)} it neither rested nor was gone after {state.time:.3g} "
+                    f"s, {1e3 * watch.way:.3g} mm and at {1e3 * watch.speed:.3g} mm/s: counted as "
+                    "staying"
+                )
         except _Rests:
             pass
         except _Gone:
@@ -286,6 +299,10 @@ def run_search(
         if row is None:
             assert trials is not None
             row = trials.run(value, tell)
+            for notice in trials.notices:
+                say(notice)
+                notices.append(notice)
+            trials.notices.clear()
             folder.write_row(row)
             keep()
         text = range_.text(value)
