@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -224,13 +225,14 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
             model.nodes, state.lines, work.inverse_mass, work.springs, work.dashpots
         )
     _gather_owned(model, work)
+    square = 0.0
     if model.joints is not None:
         # The bodies they hold may be in elements and in contact too: bounds of sums add up.
         spring, dashpot = model.joints.rates()
         work.springs += spring
         work.dashpots += dashpot
-    half = 0.5 * work.dashpots
-    square = float(((half + np.sqrt(half * half + work.springs)) ** 2).max(initial=0.0))
+        square = _squared(spring, dashpot)  # bodies without nodes count too
+    square = max(square, float(_squared(work.springs, work.dashpots).max(initial=0.0)))
     if model.internal is not None:
         if anew:
             _estimate_elements(model, state, work)
@@ -245,6 +247,12 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
             )
         square = max(square, float(work.rates[worst]))
     return math.sqrt(square)
+
+
+def _squared(springs: Any, dashpots: Any) -> Any:
+    """Square of the frequency of the undamped system with the same largest step [1/s2]."""
+    half = 0.5 * dashpots
+    return (half + np.sqrt(half * half + springs)) ** 2
 
 
 def _gather_owned(model: Model, work: Workspace) -> None:
