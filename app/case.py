@@ -185,11 +185,14 @@ def _laid_over(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]
     both = dict(base)
     for key, value in table.items():
         below = both.get(key)
-        deep = isinstance(value, dict) and isinstance(below, dict)
         # A table of another type is another thing, and takes nothing over.
-        if deep and value.get("type", below.get("type")) != below.get("type"):
-            deep = False
-        both[key] = _laid_over(below, value) if deep else value  # type: ignore[arg-type]
+        if (
+            isinstance(value, dict)
+            and isinstance(below, dict)
+            and value.get("type", below.get("type")) == below.get("type")
+        ):
+            value = _laid_over(below, value)
+        both[key] = value
     return both
 
 
