@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from flexapod.core.errors import InputError
+from flexapod.geometry.gmsh_session import HEXAHEDRON, generate, gmsh_model
 from flexapod.geometry.tagged import HEX_FACES, TaggedMesh, cavity_names
 
 SYMMETRIES = ("whole", "half", "quarter")
@@ -255,19 +256,6 @@ def place_stations(
     return Stations(intervals, slots, shut)
 
 
-def _import_gmsh() -> Any:
-    try:
-        import gmsh
-    except (ImportError, OSError) as problem:
-        raise InputError(
-            f"Gmsh cannot be loaded ({problem}); its wheel needs system libraries: on Debian "
-            "install libglu1-mesa libxft2 libxcursor1 libxinerama1 libgl1 libxrender1 "
-            "libfontconfig1",
-            "mesh",
-        ) from problem
-    return gmsh
-
-
 def gmsh_blocks(
     planes: list[np.ndarray], counts: list[np.ndarray], solid: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -286,18 +274,18 @@ def gmsh_blocks(
     -------
     Node positions [m], shape (n, 3), and hexahedra, shape (m, 8), in Gmsh's corner order.
     """
-    gmsh = _import_gmsh()
+    with gmsh_model("blocks") as gmsh:
+        _draw_blocks(gmsh.model.geo, planes, counts, solid)
+        return generate(gmsh, HEXAHEDRON, "blocks")
+
+
+def _draw_blocks(
+    geo: Any, planes: list[np.ndarray], counts: list[np.ndarray], solid: np.ndarray
+) -> None:
+    """Volumes of the solid blocks in Gmsh's own kernel; what they share is made once."""
     points: dict[tuple[int, ...], int] = {}
     curves: dict[tuple[tuple[int, ...], int], int] = {}
     surfaces: dict[tuple[tuple[int, ...], int], int] = {}
-    had_session = bool(gmsh.isInitialized())
-    if not had_session:
-        # A user's .gmshrc must not change the mesh.
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
-        gmsh.option.setNumber("General.Terminal", 0)
-    previous = gmsh.model.getCurrent() if had_session else ""
-    gmsh.model.add("flexapod-blocks")
-    geo = gmsh.model.geo
 
     def step(corner: tuple[int, ...], axis: int) -> tuple[int, ...]:
         return tuple(c + (a == axis) for a, c in enumerate(corner))
@@ -331,28 +319,12 @@ def gmsh_blocks(
             geo.mesh.setRecombine(2, surfaces[key])
         return surfaces[key]
 
-    try:
-        for block in np.argwhere(solid):
-            corner = tuple(int(c) for c in block)
-            faces = [surface(corner, a) for a in range(3)]
-            faces += [surface(step(corner, a), a) for a in range(3)]
-            volume = geo.addVolume([geo.addSurfaceLoop(faces)])
-            geo.mesh.setTransfiniteVolume(volume)
-        geo.synchronize()
-        gmsh.model.mesh.generate(3)
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        types, _, connectivity = gmsh.model.mesh.getElements(3)
-    finally:
-        gmsh.model.remove()
-        if not had_session:
-            gmsh.finalize()
-        elif previous:
-            gmsh.model.setCurrent(previous)
-    if list(types) != [5]:
-        raise RuntimeError(f"Gmsh filled blocks with element types {list(types)}, expected [5]")
-    row = np.full(int(tags.max()) + 1, -1)
-    row[tags.astype(int)] = np.arange(len(tags))
-    return coordinates.reshape(-1, 3), row[connectivity[0].astype(int)].reshape(-1, 8)
+    for block in np.argwhere(solid):
+        corner = tuple(int(c) for c in block)
+        faces = [surface(corner, a) for a in range(3)]
+        faces += [surface(step(corner, a), a) for a in range(3)]
+        volume = geo.addVolume([geo.addSurfaceLoop(faces)])
+        geo.mesh.setTransfiniteVolume(volume)
 
 
 def _cells_on_lattice(nodes: np.ndarray, cells: np.ndarray, lines: list[np.ndarray]) -> np.ndarray:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from flexapod.core.errors import InputError, check_finite, check_positive
-from flexapod.geometry.blocks import _import_gmsh
+from flexapod.geometry.gmsh_session import HEXAHEDRON, generate, gmsh_model
 from flexapod.geometry.rigid_shapes import MOST_FACES, RigidSurface
 from flexapod.geometry.tagged import TaggedMesh, boundary_facets
 
@@ -327,34 +327,13 @@ class CLeg:
 
     def _gmsh_cells(self) -> tuple[np.ndarray, np.ndarray]:
         """Hexahedra from Gmsh, and of each node its number along, across and inward."""
-        gmsh = _import_gmsh()
-        had_session = bool(gmsh.isInitialized())
-        if not had_session:
-            # A user's .gmshrc must not change the mesh.
-            gmsh.initialize(readConfigFiles=False, interruptible=False)
-            gmsh.option.setNumber("General.Terminal", 0)
-        previous = gmsh.model.getCurrent() if had_session else ""
-        gmsh.model.add("flexapod-leg")
-        try:
+        with gmsh_model("leg") as gmsh:
             self._draw(gmsh.model.geo)
-            gmsh.model.geo.synchronize()
-            gmsh.model.mesh.generate(3)
-            tags, coordinates, _ = gmsh.model.mesh.getNodes()
-            types, _, connectivity = gmsh.model.mesh.getElements(3)
-        finally:
-            gmsh.model.remove()
-            if not had_session:
-                gmsh.finalize()
-            elif previous:
-                gmsh.model.setCurrent(previous)
-        if list(types) != [5]:
-            raise RuntimeError(f"Gmsh filled a leg with element types {list(types)}, expected [5]")
-        row = np.full(int(tags.max()) + 1, -1)
-        row[tags.astype(int)] = np.arange(len(tags))
+            nodes, corners = generate(gmsh, HEXAHEDRON, "a leg")
         # The centre of the arcs is a node of no hexahedron.
-        used, cells = np.unique(row[connectivity[0].astype(int)], return_inverse=True)
+        used, cells = np.unique(corners, return_inverse=True)
         cells = cells.reshape(-1, 8)
-        x, y, z = coordinates.reshape(-1, 3)[used].T
+        x, y, z = nodes[used].T
 
         # The jump of the angle goes to the middle of the opening.
         half_gap = 0.5 * (_TURN - self.extent)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from flexapod.core.errors import InputError, check_positive
-from flexapod.geometry.blocks import _import_gmsh
+from flexapod.geometry.gmsh_session import QUADRILATERAL, generate, gmsh_model
 
 # More would make each step of a motion slower than any soft body beside it.
 MOST_FACES = 20000
@@ -286,32 +286,9 @@ class _Sketch:
 
 def _mesh(draw: Callable[[_Sketch], None]) -> RigidSurface:
     """Let Gmsh fill what `draw` sketches."""
-    gmsh = _import_gmsh()
-    had_session = bool(gmsh.isInitialized())
-    if not had_session:
-        # A user's .gmshrc must not change the mesh.
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
-        gmsh.option.setNumber("General.Terminal", 0)
-    previous = gmsh.model.getCurrent() if had_session else ""
-    gmsh.model.add("flexapod-rigid")
-    try:
+    with gmsh_model("rigid") as gmsh:
         draw(_Sketch(gmsh.model.geo))
-        gmsh.model.geo.synchronize()
-        gmsh.model.mesh.generate(2)
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        types, _, connectivity = gmsh.model.mesh.getElements(2)
-    finally:
-        gmsh.model.remove()
-        if not had_session:
-            gmsh.finalize()
-        elif previous:
-            gmsh.model.setCurrent(previous)
-    if list(types) != [3]:
-        raise RuntimeError(f"Gmsh filled a surface with element types {list(types)}, expected [3]")
-    row = np.full(int(tags.max()) + 1, -1)
-    row[tags.astype(int)] = np.arange(len(tags))
-    nodes = coordinates.reshape(-1, 3)
-    faces = row[connectivity[0].astype(int)].reshape(-1, 4)
+        nodes, faces = generate(gmsh, QUADRILATERAL, "a surface")
     # Centres of arcs are nodes of no face.
     used, corners = np.unique(faces, return_inverse=True)
     nodes, faces = nodes[used], corners.reshape(-1, 4)
