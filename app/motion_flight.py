@@ -7,6 +7,12 @@ from itertools import pairwise
 from typing import Any
 
 
+def airborne(rows: Sequence[Mapping[str, float]]) -> list[bool]:
+    """Of each row whether nothing touches the ground; never, where there is none."""
+    heads = [h for h in rows[0] if h.startswith("ground_") and h.endswith("_points")]
+    return [bool(heads) and all(row[head] == 0.0 for head in heads) for row in rows]
+
+
 def flights(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, int]]:
     """First and last row of each flight: the rows without contact with the ground, and one more
     on either side, where it takes off and lands.
@@ -14,16 +20,12 @@ def flights(rows: Sequence[Mapping[str, float]]) -> list[tuple[int, int]]:
     A motion that begins or ends in the air has no take-off or landing there: its flight begins
     with the first row or ends with the last.
     """
-    heads = [h for h in rows[0] if h.startswith("ground_") and h.endswith("_points")]
-    if not heads:
-        return []
     found: list[tuple[int, int]] = []
     begin: int | None = None
-    for k, row in enumerate(rows):
-        airborne = all(row[head] == 0.0 for head in heads)
-        if airborne and begin is None:
+    for k, off in enumerate(airborne(rows)):
+        if off and begin is None:
             begin = max(k - 1, 0)
-        if not airborne and begin is not None:
+        if not off and begin is not None:
             found.append((begin, k))
             begin = None
     if begin is not None:
@@ -91,4 +93,4 @@ def cycle_results(rows: Sequence[Mapping[str, float]], cycle: float) -> dict[str
     }
 
 
-__all__ = ["cycle_results", "flight_results", "flights"]
+__all__ = ["airborne", "cycle_results", "flight_results", "flights"]

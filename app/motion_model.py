@@ -92,7 +92,7 @@ def start_shape(
     case was run to its end before.
     """
     spec = loaded.case.start
-    if spec is None or spec.case is None or _rigid_bodied(loaded):
+    if spec is None or spec.case is None or loaded.case.rigid_bodied:
         return None
     from flexapod.app.outputs import same_case
     from flexapod.app.run import resolve, run_case
@@ -163,7 +163,7 @@ def assemble_motion(
         return ring_motion(loaded)
     torso: Torso | None = None
     notices: list[str] = []
-    if _rigid_bodied(loaded):
+    if loaded.case.rigid_bodied:
         from flexapod.app.motion_robot import rigid_torso
 
         torso = rigid_torso(loaded)
@@ -353,10 +353,6 @@ def _sink_in(
     sunk = begun - _centre_height(model, state, normal)
     say(f"set down: sank in by {sunk * 1e3:.3g} mm, {work.kinetic * 1e3:.3g} mJ left")
     state.begin_anew()
-
-
-def _rigid_bodied(loaded: LoadedCase) -> bool:
-    return loaded.case.robot is not None and loaded.case.robot.body == "rigid"
 
 
 # Share of a settling time in which what disturbs the body is eased on.

@@ -36,7 +36,7 @@ def make_contacts(
     contacts: list[DynamicContact] = []
     nodes = rigid.all_nodes(mesh)
     for index, spec in enumerate(loaded.case.contact):
-        if spec.type != "ground" and _is_box(loaded):
+        if spec.type != "ground" and loaded.case.rigid_bodied:
             continue  # a box has no chambers to touch each other
         where = f"{loaded.source}: contact.{index}"
         name = f"{spec.type}_{index}"
@@ -71,10 +71,6 @@ def make_contacts(
             )
         )
     return first, contacts
-
-
-def _is_box(loaded: LoadedCase) -> bool:
-    return loaded.case.robot is not None and loaded.case.robot.body == "rigid"
 
 
 def make_friction(spec: MovingContact) -> FrictionLaw:

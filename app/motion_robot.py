@@ -18,12 +18,12 @@ from flexapod.app.assemble import (
     match_names,
 )
 from flexapod.app.case import LoadedCase
-from flexapod.app.motion_flight import flights
+from flexapod.app.motion_flight import airborne, flights
 from flexapod.app.motion_rigid import RigidBody, RigidParts, places, together
 from flexapod.app.spec_rigid import RigidSpec
 from flexapod.app.spec_robot import LEG_NAME, LEGS, TORSO, ServoSpec
 from flexapod.core.errors import InputError
-from flexapod.geometry.tagged import TaggedMesh, boundary_facets
+from flexapod.geometry.tagged import TaggedMesh, box_mesh
 
 if TYPE_CHECKING:
     from flexapod.dynamics.joints import Joint, JointSystem, Servo
@@ -58,16 +58,15 @@ def _middle_x(mesh: TaggedMesh, name: str) -> float:
 def with_rigid_stations(loaded: LoadedCase, mesh: TaggedMesh) -> LoadedCase:
     """The case with its stations among its rigid bodies."""
     case = loaded.case
-    own = set(station_names(loaded, mesh))
+    names = station_names(loaded, mesh)
+    own = set(names)
     # A table of theirs is one too many; one that also names others stays, and is refused.
-    rigid = [
-        spec
-        for spec in case.rigid
-        if spec.group is None
-        or not set(_matching(mesh, spec.group))
-        or not own.issuperset(_matching(mesh, spec.group))
-    ]
-    stations = [RigidSpec(group=name) for name in station_names(loaded, mesh)]
+    rigid = []
+    for spec in case.rigid:
+        named = set() if spec.group is None else set(_matching(mesh, spec.group))
+        if not named or not own.issuperset(named):
+            rigid.append(spec)
+    stations = [RigidSpec(group=name) for name in names]
     changed = case.model_copy(update={"rigid": (*rigid, *stations)})
     return LoadedCase(changed, loaded.source, loaded.folder)
 
@@ -297,34 +296,6 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
     return Torso(changed, mesh, body, fine, left_out)
 
 
-def box_mesh(low: np.ndarray, high: np.ndarray, counts: tuple[int, int, int]) -> TaggedMesh:
-    """A box of even hexahedra between two corners [m], all of its surface in the group "outer"."""
-    lines = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
-    nodes = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(nodes)).reshape([n + 1 for n in counts])
-    corners = [
-        (0, 0, 0),
-        (1, 0, 0),
-        (1, 1, 0),
-        (0, 1, 0),
-        (0, 0, 1),
-        (1, 0, 1),
-        (1, 1, 1),
-        (0, 1, 1),
-    ]
-    a, b, c = counts
-    cells = np.stack(
-        [number[i : a + i, j : b + j, k : c + k].ravel() for i, j, k in corners], axis=1
-    )
-    return TaggedMesh(
-        nodes,
-        cells,
-        {"silicone": np.arange(len(cells))},
-        {"outer": boundary_facets(cells)},
-        (),
-    )
-
-
 # --------------------------------------------------------------------------- rows
 
 
@@ -404,7 +375,8 @@ def robot_results(
         results["steady_speed_m_s"] = 1e-3 * math.hypot(*steady) / (count * period)
     if way > 0.0 and gravity > 0.0:
         results["cost_of_transport"] = last["servo_drawn_J"] / (mass * gravity * way)
-    results["airborne_fraction"] = airborne_fraction(rows)
+    in_the_air = airborne(rows)
+    results["airborne_fraction"] = sum(in_the_air) / len(in_the_air)
     results["jump_height_m"] = 1e-3 * max(
         (
             max(row["centre_z_mm"] for row in rows[begin : end + 1]) - rows[begin]["centre_z_mm"]
@@ -430,14 +402,6 @@ def step_results(rows: Sequence[Mapping[str, float]], loaded: LoadedCase) -> dic
         for name in ("centre", "marker")
     )
     return {"cleared": over, "past_the_step_m": 1e-3 * (last["centre_x_mm"] - edge)}
-
-
-def airborne_fraction(rows: Sequence[Mapping[str, float]]) -> float:
-    """Share of the rows in which nothing touches the ground."""
-    heads = [h for h in rows[0] if h.startswith("ground_") and h.endswith("_points")]
-    if not heads:
-        return 0.0
-    return sum(all(row[head] == 0.0 for head in heads) for row in rows) / len(rows)
 
 
 def held_joints(system: JointSystem) -> JointSystem:

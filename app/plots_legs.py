@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from flexapod.app.plots import BLUE, GREEN, GREY, PURPLE, RED, Results, heading_of, new_figure
-from flexapod.app.plots import save_figure as save
+from flexapod.app.plots import (
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    RED,
+    Results,
+    heading_of,
+    new_figure,
+    save_figure,
+    tidy,
+)
 from flexapod.app.plots_gait import wrapped
 from flexapod.core.errors import InputError
 
@@ -72,19 +81,11 @@ def plot_legs(results: Results, path: Path) -> None:
         f"work given {drawn:.3g} J, {drawn / span:.3g} W on average", fontsize=9, loc="left"
     )
     for axes in (upper, middle, lower):
-        _tidy(axes)
+        tidy(axes)
+        axes.margins(x=0.01)
     figure.align_ylabels([upper, middle, lower])
     figure.suptitle(heading_of(results), fontsize=11)
-    save(figure, path)
-
-
-def _tidy(axes: Any) -> None:
-    axes.grid(True, color="#e4e7eb", lw=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8.5)
-    axes.margins(x=0.01)
+    save_figure(figure, path)
 
 
 __all__ = ["leg_names", "plot_legs"]

@@ -25,6 +25,7 @@ from flexapod.app.plots import (
     new_figure,
     read_results,
     save_figure,
+    tidy,
 )
 from flexapod.app.plots_frames import (
     plot_animation,
@@ -46,14 +47,6 @@ from flexapod.contact.ground import Ground
 from flexapod.core.errors import InputError
 
 _COLOURS = (BLUE, RED, GREEN, PURPLE, "#d08a1d", GREY, "#3aa6a6", "#7a5230", "#c2609a")
-
-
-def _tidy(axes: Any) -> None:
-    axes.grid(True, color="#e4e7eb", lw=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8.5)
 
 
 def _line(axes: Any, x: np.ndarray, y: np.ndarray, **options: Any) -> None:
@@ -134,7 +127,7 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
         axes.plot(*way[-1], "o", ms=5, color=colour, zorder=4)
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("z [mm]")
-    _tidy(axes)
+    tidy(axes)
     axes.legend(
         frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.1, ncols=max(1, min(len(tracks), 4 if ratio > 1.5 else 2)),
@@ -150,7 +143,7 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
             axes.set_ylabel(label(heads[0]))
         else:
             axes.legend(frameon=False, fontsize=8)
-        _tidy(axes)
+        tidy(axes)
         axes.margins(x=0.01)
     figure.suptitle(heading_of(results), fontsize=11)
     save_figure(figure, path)
@@ -212,7 +205,7 @@ def plot_energy(results: Results, path: Path) -> None:
         _line(upper, time, factor * curves[name], color=colour, label=name)
     upper.axhline(0.0, color=EDGE, lw=0.7)
     upper.set_ylabel(f"energy [{unit}]")
-    _tidy(upper)
+    tidy(upper)
     upper.legend(frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
     worst = float(np.nanmax(np.abs(unaccounted)))
@@ -236,7 +229,7 @@ def plot_energy(results: Results, path: Path) -> None:
     lower.axhline(0.0, color=EDGE, lw=0.7)
     lower.set_ylabel(f"[{unit}]")
     lower.set_xlabel("time [s]")
-    _tidy(lower)
+    tidy(lower)
     lower.margins(x=0.01)
     share = f"unaccounted: at most {factor * worst:.3g} {unit}"
     if largest > 0.0 and change > 0.0:
@@ -304,7 +297,7 @@ def plot_contact(folder: Path | Results, path: Path) -> None:
                 axes.legend(fontsize=8, frameon=False, loc="best")
             axes.set_ylim(bottom=0.0)
             axes.margins(x=0.01)
-            _tidy(axes)
+            tidy(axes)
             if j == 0:
                 axes.set_ylabel(text)
         grid[0, j].set_title(_contact_title(results, name), fontsize=9.5)

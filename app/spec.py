@@ -538,6 +538,11 @@ class Case(Table):
         return data
 
     @property
+    def rigid_bodied(self) -> bool:
+        """Whether a robot's body is a rigid box."""
+        return self.robot is not None and self.robot.body == "rigid"
+
+    @property
     def sized_mesh(self) -> MeshSpec | None:
         """The mesh, as fine as a robot's body asks for where [mesh] does not say."""
         mesh, robot = self.mesh, self.robot
@@ -761,8 +766,7 @@ class Case(Table):
                         f"contact: the ground under a robot is one, and {key} differs: {one} and "
                         f"{two}; --set contact.*.{key}=... sets all"
                     )
-        rigid = self.robot.body == "rigid"
-        if rigid and self.start is not None and self.start.case is not None:
+        if self.rigid_bodied and self.start is not None and self.start.case is not None:
             raise ValueError(
                 f'robot.body = "rigid" has no start shape: leave out start.case '
                 f"({self.start.case}) or choose another body"

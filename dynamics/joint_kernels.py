@@ -113,6 +113,7 @@ def joint_loads(
     motion: Any,
     load: Any,
     damping: Any,
+    gear_dashpot: Any,
     stored: Any,
     axis: Any,
 ) -> None:
@@ -131,6 +132,8 @@ def joint_loads(
     damping
         Overwritten: the part of it that dashpots make, the gears' too, shape (n, 2, 6), of parent
         and child; what the ledger counts as loss.
+    gear_dashpot
+        Overwritten: the gears' part of it [N m], shape (n,).
     stored
         Overwritten, shape (4,), see the indices.
     axis
@@ -223,6 +226,7 @@ def joint_loads(
         motion[j, MOTOR] = motor_torque(wanted, rotor_rate, servo[j, STALL], servo[j, NO_LOAD])
         motion[j, BEYOND] = wanted - motion[j, MOTOR]
         motion[j, GEAR] = spring + dashpot
+        gear_dashpot[j] = dashpot
         for i in range(6):
             load[p, i] += damping[j, 0, i]
             load[q, i] += damping[j, 1, i]

@@ -285,7 +285,6 @@ class JointSystem:
         joint_kernels.spins(
             rigid.inertia, rigid.free, rigid_q, rigid_l, self.rotation, self.omega_before
         )
-        motion = state["motion"]
         joint_kernels.joint_loads(
             self.bodies,
             self.arms,
@@ -299,15 +298,13 @@ class JointSystem:
             rigid_v,
             self.rotation,
             self.omega_before,
-            motion,
+            state["motion"],
             self.load,
             self.damping,
+            self.gear_dashpot,
             self.stored,
             self.axis,
         )
-        twist = motion[:, joint_kernels.ROTOR] - motion[:, joint_kernels.ANGLE]
-        spring = self.stiffness[:, joint_kernels.GEAR_SPRING] * twist
-        np.subtract(motion[:, joint_kernels.GEAR], spring, out=self.gear_dashpot)
         return float(self.stored[:3].sum())
 
     def kick(

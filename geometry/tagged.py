@@ -204,6 +204,34 @@ class TaggedMesh:
         return cls(mesh.p.T.copy(), cells, cell_groups, facet_groups, cavity_names(facet_groups))
 
 
+def box_mesh(low: np.ndarray, high: np.ndarray, counts: tuple[int, int, int]) -> TaggedMesh:
+    """A box of even hexahedra between two corners [m], all of its surface in the group "outer"."""
+    lines = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
+    nodes = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(nodes)).reshape([n + 1 for n in counts])
+    corners = [
+        (0, 0, 0),
+        (1, 0, 0),
+        (1, 1, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (1, 0, 1),
+        (1, 1, 1),
+        (0, 1, 1),
+    ]
+    a, b, c = counts
+    cells = np.stack(
+        [number[i : a + i, j : b + j, k : c + k].ravel() for i, j, k in corners], axis=1
+    )
+    return TaggedMesh(
+        nodes,
+        cells,
+        {"silicone": np.arange(len(cells))},
+        {"outer": boundary_facets(cells)},
+        (),
+    )
+
+
 def cavity_names(facet_groups: Iterable[str]) -> tuple[str, ...]:
     """The facet groups that enclose air: those whose name begins with "cavity"."""
     return tuple(name for name in facet_groups if name.startswith("cavity"))
