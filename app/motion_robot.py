@@ -101,6 +101,7 @@ def make_servo(spec: ServoSpec) -> Servo:
         spec.proportional,
         spec.integral,
         spec.derivative,
+        spec.rate_weight,
         spec.stall_torque,
         spec.no_load_speed,
         spec.inertia,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -90,10 +90,19 @@ class _Walking(_Turning):
         description="Backward, angles have the other sign, the slow phase lies about -centre.",
     )
 
-    @property
-    def sign(self) -> int:
-        """1 forward, -1 backward."""
-        return 1 if self.direction == "forward" else -1
+    def _settings(self) -> dict[str, Any]:
+        """What both ways of walking take, by the names of `GaitWalk`'s makers."""
+        return {
+            "extent": self.extent,
+            "centre": self.centre,
+            "period": self.period,
+            "slow_time": self.slow_time,
+            "turn_centre": self.turn_centre,
+            "turn_time": self.turn_time,
+            "direction": 1 if self.direction == "forward" else -1,
+            "start_angle": self.start_angle,
+            "start": self.start,
+        }
 
 
 class GaitTripodSpec(_Walking):
@@ -110,18 +119,7 @@ class GaitTripodSpec(_Walking):
         """See `GaitWalk.tripod`."""
         from flexapod.dynamics.gait import GaitWalk
 
-        return GaitWalk.tripod(
-            self.extent,
-            self.centre,
-            self.period,
-            self.slow_time,
-            turn_centre=self.turn_centre,
-            turn_time=self.turn_time,
-            direction=self.sign,
-            lead=self.lead,
-            start_angle=self.start_angle,
-            start=self.start,
-        )
+        return GaitWalk.tripod(**self._settings(), lead=self.lead)
 
 
 class GaitTogetherSpec(_Walking):
@@ -133,17 +131,7 @@ class GaitTogetherSpec(_Walking):
         """See `GaitWalk.together`."""
         from flexapod.dynamics.gait import GaitWalk
 
-        return GaitWalk.together(
-            self.extent,
-            self.centre,
-            self.period,
-            self.slow_time,
-            turn_centre=self.turn_centre,
-            turn_time=self.turn_time,
-            direction=self.sign,
-            start_angle=self.start_angle,
-            start=self.start,
-        )
+        return GaitWalk.together(**self._settings())
 
 
 class GaitSpotTurnSpec(_Turning):

@@ -90,7 +90,13 @@ class ServoSpec(Table):
         default=default_text("0 N m/rad/s"), description="Gain of the error's integral."
     )
     derivative: TorsionDamping | None = Field(
-        default=None, description="Gain of the error's rate (default: critical for the rotor)."
+        default=None, description="Gain of the rate (default: critical for the rotor)."
+    )
+    rate_weight: Share = Field(
+        default=0.0,
+        description="Part of the target's rate that the rate's gain compares with: 0, a servo that "
+        "is told angles and brakes by its own rate (assumed); 1, the error's rate, which kicks at "
+        "a gait's corners.",
     )
     stall_torque: Torque = Field(
         default=default_text("25 kgf cm"), description="The paper's servo."

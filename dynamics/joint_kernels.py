@@ -34,9 +34,10 @@ from flexapod.dynamics.rigid_kernels import _angular_velocity
 # Columns of `stiffness`: of the point [N/m, N s/m], of the axis [N m/rad, N m s/rad], of the gear.
 POINT_SPRING, POINT_DASHPOT, AXIS_SPRING, AXIS_DASHPOT, GEAR_SPRING, GEAR_DASHPOT = range(6)
 STIFFNESS = 6
-# Columns of `servo`: gains of the controller, what the motor can give, reflected inertia.
-PROPORTIONAL, INTEGRAL, DERIVATIVE, STALL, NO_LOAD, INERTIA = range(6)
-SERVO = 6
+# Columns of `servo`: gains of the controller, what the motor can give, reflected inertia, and the
+# part of the target's rate that the controller knows.
+PROPORTIONAL, INTEGRAL, DERIVATIVE, STALL, NO_LOAD, INERTIA, RATE_WEIGHT = range(7)
+SERVO = 7
 # Columns of a joint's `motion` (n, 7): angle of the child, of the rotor [rad], the rotor's rate,
 # the integral of the error [rad s], motor and gear torque [N m], and what the controller asked for
 # beyond what the motor gives [N m].
@@ -221,7 +222,7 @@ def joint_loads(
         wanted = (
             servo[j, PROPORTIONAL] * (target[j] - rotor)
             + servo[j, INTEGRAL] * motion[j, SUM]
-            + servo[j, DERIVATIVE] * (target_rate[j] - rotor_rate)
+            + servo[j, DERIVATIVE] * (servo[j, RATE_WEIGHT] * target_rate[j] - rotor_rate)
         )
         motion[j, MOTOR] = motor_torque(wanted, rotor_rate, servo[j, STALL], servo[j, NO_LOAD])
         motion[j, BEYOND] = wanted - motion[j, MOTOR]

@@ -43,8 +43,13 @@ class Servo:
     integral
         [N m/(rad s)]; off by default. It does not wind up while the motor is at its limit.
     derivative
-        [N m s/rad], of the error's rate. None: critical damping of the rotor alone,
+        [N m s/rad], of the rate. None: critical damping of the rotor alone,
         ``2 sqrt(proportional inertia)``.
+    rate_weight
+        Part of the target's rate, in [0, 1], that this term takes the rotor's rate from: 1 for the
+        error's rate; 0 (default, assumed: a servo is told angles) for the rotor's own, so that
+        corners of the target do not kick (setpoint weighting: K. J. Astrom, R. M. Murray,
+        Feedback Systems, 2008, section 10.5). The rotor then lags by ``derivative/proportional``.
     stall_torque
         [N m]: 25 kg cm (SoSpider paper, section 2.3).
     no_load_speed
@@ -62,6 +67,7 @@ class Servo:
     proportional: float = 25.0 * KG_CM / math.radians(5.0)
     integral: float = 0.0
     derivative: float | None = None
+    rate_weight: float = 0.0
     stall_torque: float = 25.0 * KG_CM
     no_load_speed: float = math.radians(60.0) / 0.16
     inertia: float = 3.1e-3
@@ -80,10 +86,12 @@ class Servo:
             value = getattr(self, name)
             if value is not None and not check_finite(f"servo {name}", value) >= 0.0:
                 raise InputError(f"servo {name} must be >= 0, got {value:g}")
+        if not 0.0 <= self.rate_weight <= 1.0:
+            raise InputError(f"servo rate_weight must lie in [0, 1], got {self.rate_weight:g}")
 
     @property
     def rate_gain(self) -> float:
-        """Gain of the error's rate [N m s/rad]."""
+        """Gain of the rate [N m s/rad]."""
         if self.derivative is not None:
             return self.derivative
         return 2.0 * math.sqrt(self.proportional * self.inertia)
@@ -198,10 +206,12 @@ class JointSystem:
                     j.servo.stall_torque,
                     j.servo.no_load_speed,
                     j.servo.inertia,
+                    j.servo.rate_weight,
                 )
                 for j in self.joints
             ]
         ).reshape(count, joint_kernels.SERVO)
+        self._needs_rates = bool(self.servo[:, joint_kernels.RATE_WEIGHT].any())
         bodies_count = bodies.count
         self.load = np.zeros((bodies_count, 6))
         self.damping = np.zeros((count, 2, 6))
@@ -281,7 +291,8 @@ class JointSystem:
     ) -> float:
         """Fill `load` with what joints do to the bodies; returns what their springs store [J]."""
         self.target[:] = self.command.targets(time)
-        self.target_rate[:] = self.command.rates(time)
+        if self._needs_rates:
+            self.target_rate[:] = self.command.rates(time)
         joint_kernels.spins(
             rigid.inertia, rigid.free, rigid_q, rigid_l, self.rotation, self.omega_before
         )

@@ -240,14 +240,15 @@ def test_walking_speed_is_that_of_the_rolling_arc(walk: tuple[RunResult, Path]) 
 
     From 0.08 s on, since the legs start with a jerk and slip by half a millimetre. Measured 0.03 %;
     the flats of the sole and its sinking in, 0.05 of 25 mm, may make 0.3 %. The marked point is
-    the torso's; the centre of mass is not, for the legs swing.
+    the torso's; the centre of mass is not, for the legs swing. A leg lags by its servo's
+    ``derivative/proportional``, 21 ms at 125 degrees a second: 2.6 degrees.
     """
     rows = rows_of(walk[1])
     leg = CLeg(0.050, math.pi, 0.012)
     begin, end = rows[16], rows[96]
     assert (begin["time_s"], end["time_s"]) == (0.08, 0.48)
     angles = [math.radians(row["leg_1_angle_deg"]) for row in (begin, end)]
-    assert angles[1] == pytest.approx(math.radians(60.0), abs=math.radians(1.0))
+    assert angles[1] == pytest.approx(math.radians(60.0 - 2.6), abs=math.radians(1.0))
     way = 1e-3 * (end["marker_x_mm"] - begin["marker_x_mm"])
     assert way == pytest.approx(leg.rolling_advance(*angles), rel=3e-3)
     # And its height follows the arc's.
