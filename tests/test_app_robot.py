@@ -166,7 +166,7 @@ def test_a_search_of_a_climb_may_go_to_negative_slopes() -> None:
     with pytest.raises(InputError, match="begin with a small one of that sign, such as -1 deg"):
         Range.of(load_case("climb", ['search.low="0 deg"']))
     found = Range.of(load_case("climb"))
-    assert (found.low, found.high) == (-20.0, -50.0)
+    assert (found.low, found.high) == (-30.0, -46.0)
     both = load_case("climb", ['contact.*.slope="-10 deg"']).case.contact
     assert [c.slope for c in both] == [math.radians(-10.0)] * 2
 
