@@ -42,9 +42,9 @@ class _Rests(Exception):
 # as one likes, and one that still creeps does not stay.
 PATIENCE = 4
 
-# Intervals for which the centre must be slow to count as at rest: a body that rocks stands still
-# for a moment at each end of its way.
-REST_INTERVALS = 10
+# Time [s] for which the centre must be slow to count as at rest: a body that rocks stands still for
+# a moment at each end of its way, and one that lacks little to stay takes its time to get going.
+REST_TIME = 0.25
 
 
 def split_quantity(text: str, where: str) -> tuple[float, str]:
@@ -251,7 +251,7 @@ class _Watch:
         if self.way > self.distance:
             raise _Gone
         self.slow = self.slow + 1 if eased and moved and self.speed < self.rest else 0
-        if self.slow >= REST_INTERVALS:
+        if self.slow * self.interval >= REST_TIME * (1.0 - 1e-9):
             raise _Rests
 
 

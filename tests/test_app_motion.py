@@ -316,3 +316,29 @@ def test_unfolding_needs_the_plane() -> None:
     mesh = _quarter()
     with pytest.raises(InputError, match="ends at the plane x = 0"):
         unfold(mesh.with_nodes(mesh.nodes + [0.5, 0.0, 0.0]), 0)
+
+
+@pytest.mark.parametrize(("acceleration", "rests"), [(0.0, True), (0.002, True), (0.018, False)])
+def test_a_body_that_begins_to_move_does_not_count_as_at_rest(
+    acceleration: float, rests: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tenth of a degree too steep lets a wheel go at 0.018 m/s2: 1 mm/s after 0.06 s.
+
+    At rest is what stays below 1 mm/s for 0.25 s, so what begins with less than 0.004 m/s2.
+    """
+    time = 0.0
+    monkeypatch.setattr(
+        search_module,
+        "centre",
+        lambda model, state: np.array([0.5 * acceleration * time**2, 0.0, 0.0]),
+    )
+    watch = search_module._Watch(None, np.zeros(3), 0.05, 1e-3, 0.005)  # type: ignore[arg-type]
+    try:
+        for k in range(100):
+            time = 0.005 * k
+            watch.look(None, eased=True)  # type: ignore[arg-type]
+    except search_module._Rests:
+        assert rests
+        assert time == pytest.approx(0.25, abs=1e-9)
+    else:
+        assert not rests
