@@ -280,6 +280,9 @@ def plot_curve(results: Results, path: Path) -> None:
             fontsize=9, bbox={"boxstyle": "round", "fc": "white", "ec": "#cfd3d9"},
         )  # fmt: skip
     axes.set_xlabel(label(x_name))
+    search = results.case.get("search")
+    if search is not None and x_name == "value":
+        _name_search(axes, search, results.summary["results"])
     axes.set_ylabel(label(y_names[0]) if len(y_names) == 1 else "")
     axes.set_title(title_of(results), fontsize=11)
     axes.grid(True, color="#e4e7eb", lw=0.7)
@@ -288,6 +291,16 @@ def plot_curve(results: Results, path: Path) -> None:
         axes.spines[side].set_visible(False)
     axes.legend(frameon=False, fontsize=9, loc="upper left")
     save_figure(figure, path)
+
+
+def _name_search(axes: Any, search: dict[str, Any], found: dict[str, Any]) -> None:
+    """Say what was searched along x, and between which trials the answer lies."""
+    axes.set_xlabel(f"{search['key']} [{found['unit']}]" if "unit" in found else search["key"])
+    answer = found.get(search["result"])
+    if answer is not None and {"bracket_low", "bracket_high"} <= found.keys():
+        band = sorted((found["bracket_low"], found["bracket_high"]))
+        text = f"{_split(search['result'])[0].replace('_', ' ')} {amount(search['result'], answer)}"
+        axes.axvspan(*band, color="#e4e7eb", label=text)
 
 
 def skin_reader(results: Results) -> SkinReader:
