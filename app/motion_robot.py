@@ -97,17 +97,7 @@ def make_servo(spec: ServoSpec) -> Servo:
     """The servo a table describes."""
     from flexapod.dynamics.joints import Servo
 
-    return Servo(
-        spec.proportional,
-        spec.integral,
-        spec.derivative,
-        spec.rate_weight,
-        spec.stall_torque,
-        spec.no_load_speed,
-        spec.inertia,
-        spec.gear_stiffness,
-        spec.gear_damping,
-    )
+    return Servo(**{part.name: getattr(spec, part.name) for part in dataclasses.fields(Servo)})
 
 
 @dataclass(frozen=True)

@@ -207,13 +207,14 @@ def new_figure(width: float, height: float) -> Any:
     return figure
 
 
-def tidy(axes: Any) -> None:
-    """A light grid behind the curves, and no frame above and right of them."""
+def tidy(axes: Any, ticks: float | None = 8.5) -> None:
+    """A light grid behind the curves, no frame above and right of them, ticks of this size [pt]."""
     axes.grid(True, color="#e4e7eb", lw=0.7)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    axes.tick_params(labelsize=8.5)
+    if ticks is not None:
+        axes.tick_params(labelsize=ticks)
 
 
 def save_figure(figure: Any, path: Path) -> None:
@@ -285,10 +286,7 @@ def plot_curve(results: Results, path: Path) -> None:
         _name_search(axes, search, results.summary["results"])
     axes.set_ylabel(label(y_names[0]) if len(y_names) == 1 else "")
     axes.set_title(title_of(results), fontsize=11)
-    axes.grid(True, color="#e4e7eb", lw=0.7)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    tidy(axes, ticks=None)
     axes.legend(frameon=False, fontsize=9, loc="upper left")
     save_figure(figure, path)
 

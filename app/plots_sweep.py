@@ -19,6 +19,7 @@ from flexapod.app.plots import (
     label,
     new_figure,
     save_figure,
+    tidy,
     title_of,
 )
 from flexapod.core.errors import InputError
@@ -63,12 +64,9 @@ def plot_curves(
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     axes.set_title(title, fontsize=11)
-    axes.grid(True, color="#e4e7eb", lw=0.7)
-    axes.set_axisbelow(True)
+    tidy(axes, ticks=None)
     axes.axhline(0.0, color="#c3c9d1", lw=0.8, zorder=0.9)
     axes.margins(y=0.08)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
     if len(axes.get_legend_handles_labels()[0]):
         axes.legend(frameon=False, fontsize=9)
     save_figure(figure, path)

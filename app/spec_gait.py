@@ -75,6 +75,17 @@ class _Turning(_Started):
         "180 deg, straight up, is the paper's.",
     )
 
+    def _settings(self) -> dict[str, Any]:
+        """What every such gait takes, by the names of `GaitWalk`'s makers."""
+        return {
+            "extent": self.extent,
+            "centre": self.centre,
+            "period": self.period,
+            "slow_time": self.slow_time,
+            "start_angle": self.start_angle,
+            "start": self.start,
+        }
+
 
 class _Walking(_Turning):
     turn_centre: Angle = Field(
@@ -91,17 +102,11 @@ class _Walking(_Turning):
     )
 
     def _settings(self) -> dict[str, Any]:
-        """What both ways of walking take, by the names of `GaitWalk`'s makers."""
         return {
-            "extent": self.extent,
-            "centre": self.centre,
-            "period": self.period,
-            "slow_time": self.slow_time,
+            **super()._settings(),
             "turn_centre": self.turn_centre,
             "turn_time": self.turn_time,
             "direction": 1 if self.direction == "forward" else -1,
-            "start_angle": self.start_angle,
-            "start": self.start,
         }
 
 
@@ -159,15 +164,10 @@ class GaitSpotTurnSpec(_Turning):
         from flexapod.dynamics.gait import LEG_COUNT, TRIPODS, GaitWalk
 
         return GaitWalk.spot_turn(
-            self.extent,
-            self.centre,
-            self.period,
-            self.slow_time,
+            **self._settings(),
             towards=self.direction,
             phases=TRIPODS["left"] if self.legs == "tripod" else (0.0,) * LEG_COUNT,
             reversal=self.reversal,
-            start_angle=self.start_angle,
-            start=self.start,
         )
 
 

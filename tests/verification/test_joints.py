@@ -253,7 +253,8 @@ class Turning(Still):
 def test_a_turning_rotor_lags_by_the_part_of_the_rate_it_is_not_told(weight: float) -> None:
     """At an even rate w nothing accelerates: k lag = (1 - weight) d w, after the start is gone.
 
-    The start decays with d/(2 J) of rotor and leg together, 60 per second at least: by exp(-18).
+    The start decays with d/(2 J) of rotor and leg together, 60 per second at least: by exp(-18). A
+    rate is half a step old: 2 rad/s in half of a step of at most 0.1 ms is 1e-4 rad.
     """
     servo = Servo(rate_weight=weight, no_load_speed=1e6)
     model, state, work = two_legged(Turning(2.0, -2.0), servo, torso_free=False)
@@ -276,7 +277,6 @@ def test_a_corner_of_the_target_kicks_only_where_its_rate_is_told() -> None:
 
 def test_turns_are_counted_and_a_state_comes_back() -> None:
     """Three turns on, and a state that went through arrays goes on with the same bits."""
-
     model, state, work = two_legged(Turning(6.0, -6.0), Servo(no_load_speed=60.0))
     march(model, state, work, 1500, Options(interval=1e-3))
     arrays, about = state.to_arrays()
