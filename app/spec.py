@@ -22,7 +22,7 @@ from flexapod.app.spec_dynamics import (
 from flexapod.app.spec_gait import GaitSpec
 from flexapod.app.spec_rigid import RigidSpec
 from flexapod.app.spec_ring import SHELL, ActuationSpec, CoilsSpec, RingSpec
-from flexapod.app.spec_robot import SIZES, RobotSpec
+from flexapod.app.spec_robot import BODIES, RobotSpec
 from flexapod.app.spec_sweep import SweepSpec
 from flexapod.core.units import (
     Acceleration,
@@ -548,8 +548,11 @@ class Case(Table):
         mesh, robot = self.mesh, self.robot
         if mesh is None or robot is None or mesh.builder is None or "size" in mesh.options:
             return mesh
+        wanted = dict(BODIES[robot.body])
+        if mesh.builder != "curl":
+            wanted.pop("aligned_rows", None)  # the others have no rows to align
         table = mesh.model_dump(mode="json", by_alias=True, exclude_none=True)
-        return MeshSpec.model_validate({**table, "size": SIZES[robot.body]})
+        return MeshSpec.model_validate({**wanted, **table})
 
     @model_validator(mode="before")
     @classmethod

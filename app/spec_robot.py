@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -139,9 +139,10 @@ class ServoSpec(Table):
 class RobotSpec(Table):
     """A body on six legs with servos; what they do is [gait]."""
 
-    body: Literal["full", "coarse", "rigid"] = Field(
+    body: Literal["full", "medium", "coarse", "rigid"] = Field(
         default="coarse",
-        description="full: two elements through each wall. coarse: one element. rigid: a box with "
+        description="full: two elements through each wall. medium: one element. coarse: one "
+        "element, and the rows' walls in common planes (mesh.aligned_rows). rigid: a box with "
         "the body's mass and inertia, for the design of gaits; it takes no pressure. A size in "
         "[mesh] is left as it is.",
     )
@@ -154,7 +155,12 @@ class RobotSpec(Table):
     servo: ServoSpec = ServoSpec()
 
 
-# Longest edges of the meshes behind `RobotSpec.body`; a rigid one is weighed on the coarse mesh.
-SIZES = {"full": "default", "coarse": "20 mm", "rigid": "20 mm"}
+# Options of the curling part behind `RobotSpec.body`; a rigid one is weighed on the medium mesh.
+BODIES: dict[str, dict[str, Any]] = {
+    "full": {"size": "default"},
+    "medium": {"size": "20 mm"},
+    "coarse": {"size": "20 mm", "aligned_rows": True},
+    "rigid": {"size": "20 mm"},
+}
 
-__all__ = ["LEGS", "LEG_NAME", "SIZES", "TORSO", "LegsSpec", "RobotSpec", "ServoSpec"]
+__all__ = ["BODIES", "LEGS", "LEG_NAME", "TORSO", "LegsSpec", "RobotSpec", "ServoSpec"]

@@ -50,8 +50,11 @@ class DynamicContact(Protocol):
         """History of a contact that begins at positions `x` [m]."""
         ...
 
-    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
-        """Search again if motion asks for it; `travel` [m] bounds a node's way since the last."""
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
+        """Search again if motion asks for it; `travel` [m] bounds a node's way since the last.
+
+        Returns whether it did: `add_rates` knows of no other faces than those found last.
+        """
         ...
 
     def add_forces(
@@ -69,10 +72,14 @@ class DynamicContact(Protocol):
         self,
         history: History,
         inverse_mass: np.ndarray,
+        margin: float,
         springs: np.ndarray,
         dashpots: np.ndarray,
     ) -> None:
-        """Add per node what may come to the squared highest frequency [1/s2], and damping [1/s]."""
+        """Add per node what may come to the squared highest frequency [1/s2], and damping [1/s].
+
+        Points are taken `margin` [m] deeper than they are.
+        """
         ...
 
     def pressing(self) -> float:
@@ -207,11 +214,13 @@ class GroundContact:
     def _search(self, x: np.ndarray, history: History) -> None:
         line_kernels.search_ground(self._at_points(x, 0), self.packed(history))
 
-    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """See `DynamicContact`: a face out of the skin cannot arrive before it has crossed it."""
         history["way"][0] += self.reach * travel
-        if history["way"][0] > self.skin:
-            self._search(x, history)
+        if history["way"][0] <= self.skin:
+            return False
+        self._search(x, history)
+        return True
 
     def add_forces(
         self,
@@ -300,6 +309,7 @@ class GroundContact:
         self,
         history: History,
         inverse_mass: np.ndarray,
+        margin: float,
         springs: np.ndarray,
         dashpots: np.ndarray,
     ) -> None:
@@ -322,7 +332,7 @@ class GroundContact:
             kernels.POINTS,
             self.areas,
             gap,
-            RATE_MARGIN,
+            margin,
             law.traction_coefficient,
             law.stiffness_exponent,
             law.damping_coefficient,
@@ -373,10 +383,19 @@ def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
     return out
 
 
-# Deeper than now by this much [m] is the contact the stable step allows for. The paper's damping
-# grows with the square of the depth: at 0.3 mm its dashpot alone asks for steps of 4 us, so more
-# than the body is likely to sink in within an interval is not allowed for but looked at again.
-RATE_MARGIN = 5e-5
+# Deeper than now by this much [m], at least and at most, is the contact the stable step allows
+# for. The paper's damping grows with the square of the depth: at 0.3 mm its dashpot alone asks for
+# steps of 4 us, so more than the body is likely to sink in within a few steps is not allowed for
+# but looked at again, which is cheap. A walking robot's steps are longer by a third with 15 um;
+# what moves 50 um in one step needs the larger margin.
+LEAST_MARGIN, RATE_MARGIN = 1.5e-5, 5e-5
+
+
+def rate_margin(travel: float) -> float:
+    """How much deeper than now [m] to allow for, with `travel` [m] a node's way in a step."""
+    return min(max(2.0 * travel, LEAST_MARGIN), RATE_MARGIN)
+
+
 # Motion of the surfaces relative to each other, as a share of the skin, after which faces are
 # searched anew, and near faces looked at. Two faces may each move so far: twice the first and
 # twice the second is what is left of the skin.
@@ -503,9 +522,9 @@ class SurfaceContact:
         history["x_near"][:] = history["x"]
         history["since"][0] = 0.0
 
-    def prepare(self, x: np.ndarray, history: History, travel: float) -> None:
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """See `DynamicContact`."""
-        anew = self._look(x, history, travel)
+        anew, searched = self._look(x, history, travel)
         for k, p in enumerate(self.passes):
             track_kernels.track_partners(
                 x,
@@ -525,9 +544,10 @@ class SurfaceContact:
                 history[f"gap{k}"],
                 history[f"fade{k}"],
             )
+        return searched
 
-    def _look(self, x: np.ndarray, history: History, travel: float) -> bool:
-        """Whether near points without a partner are to look for one now; searches where due.
+    def _look(self, x: np.ndarray, history: History, travel: float) -> tuple[bool, bool]:
+        """Whether near points without a partner are to look for one now, and a search was due.
 
         Relative motion is measured when any node may have gone far enough at all, and when half of
         what is left would be used up at the pace so far.
@@ -537,25 +557,26 @@ class SurfaceContact:
         history["way"][0] += travel
         age = int(history["age"][0])
         if history["way"][0] <= limit or age < history["next"][0]:
-            return False
+            return False, False
         moved = _relative_motion(history["x_near"], x, self.watched)
         left = limit - moved
         if left > 0.2 * limit:
             wait = int(0.5 * left * age / max(moved, 1e-300)) if moved > 0.0 else self.check_every
             history["next"][0] = age + min(max(wait, 1), self.check_every)
-            return False
+            return False, False
         # No point has moved farther than the sum of its ways.
         history["since"][0] += moved
         if history["since"][0] > SEARCH_SHARE * self.skin:
             history["since"][0] = _relative_motion(history["x"], x, self.watched)
-        if history["since"][0] > SEARCH_SHARE * self.skin:
+        searched = bool(history["since"][0] > SEARCH_SHARE * self.skin)
+        if searched:
             self._search(x, history)
         else:
             np.take(x, self.watched, axis=0, out=history["x_near"], mode="clip")
         history["way"][0] = 0.0
         history["age"][0] = 0
         history["next"][0] = min(max(age // 2, 1), self.check_every)
-        return True
+        return True, searched
 
     def add_forces(
         self,
@@ -614,6 +635,7 @@ class SurfaceContact:
         self,
         history: History,
         inverse_mass: np.ndarray,
+        margin: float,
         springs: np.ndarray,
         dashpots: np.ndarray,
     ) -> None:
@@ -627,7 +649,7 @@ class SurfaceContact:
                 kernels.POINTS,
                 p.areas,
                 history[f"gap{k}"],
-                RATE_MARGIN,
+                margin,
                 law.traction_coefficient,
                 law.stiffness_exponent,
                 law.damping_coefficient,

@@ -20,10 +20,10 @@ from flexapod.dynamics import joint_kernels, kernels, line_kernels, rigid_kernel
 from flexapod.dynamics.contacts import (
     DEPTH,
     ENERGY,
-    RATE_MARGIN,
     STICK,
     GroundContact,
     account,
+    rate_margin,
 )
 from flexapod.dynamics.line_march import LineMarch
 from flexapod.dynamics.model import Model, State
@@ -160,6 +160,7 @@ class Workspace:
         self.rotor_energy = 0.0  # of motion
         self.joint_spent = np.zeros(3)
         self.kinetic = 0.0
+        self.searched = False  # whether the last forces found other faces near than before
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)
         self.springs = np.zeros(shape[0])
@@ -212,7 +213,9 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     work.springs[:] = 0.0
     work.dashpots[:] = 0.0
     for contact, history in zip(model.contacts, state.histories, strict=True):
-        contact.add_rates(history, work.inverse_mass, work.springs, work.dashpots)
+        contact.add_rates(
+            history, work.inverse_mass, rate_margin(state.travel), work.springs, work.dashpots
+        )
     for bond, whole in zip(model.bonds, state.whole, strict=True):
         if whole:
             for side in range(2):
@@ -228,10 +231,11 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     square = 0.0
     if model.joints is not None:
         # The bodies they hold may be in elements and in contact too: bounds of sums add up.
-        spring, dashpot = model.joints.rates()
-        work.springs += spring
-        work.dashpots += dashpot
-        square = _squared(spring, dashpot)  # bodies without nodes count too
+        spring, dashpot = model.joints.rates(len(model.rigid.names))
+        owner = model.owner[model.owned]
+        work.springs[model.owned] += spring[owner]
+        work.dashpots[model.owned] += dashpot[owner]
+        square = float(_squared(spring, dashpot).max())  # bodies without nodes count too
     square = max(square, float(_squared(work.springs, work.dashpots).max(initial=0.0)))
     if model.internal is not None:
         if anew:
@@ -375,10 +379,11 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
         clock.lap(PRESSURES)
     work.elastic[:] = 0.0
     work.dissipative[:] = 0.0
+    work.searched = False
     clock.lap(REST)
     for contact, history in zip(model.contacts, state.histories, strict=True):
         try:
-            contact.prepare(state.x, history, state.travel)
+            work.searched |= contact.prepare(state.x, history, state.travel)
             clock.lap(SEARCH)
             contact.add_forces(state.x, state.v, history, work.elastic, work.dissipative)
             clock.lap(CONTACT)
@@ -764,7 +769,7 @@ def march(
         begin = state.interval * options.interval
         left, first = options.interval, record
         while left > 0.0:
-            # Almost always once: again where contact went deeper than the step was chosen for.
+            # Again where contact is not what the step was chosen for: deeper, or of other faces.
             state.time = begin
             whole = left == options.interval
             work.clock.lap(REST)
@@ -783,7 +788,8 @@ def march(
                 depths = [float(c.totals[DEPTH]) for c in model.contacts]
                 stats.deepest = max([stats.deepest, *depths])
                 deeper = any(d > a for d, a in zip(depths, allowed, strict=True))
-                if deeper and done < count:
+                # Faces found since then have no share in the step chosen before.
+                if (deeper or work.searched) and done < count:
                     break
                 if fast is not None and done < count:
                     walked, deepest, end = fast.march(begin + done * dt, dt, count - done, allowed)
@@ -829,7 +835,8 @@ def _choose_step(
     """
     state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
-    allowed = [float(history["depth"][0]) + RATE_MARGIN for history in state.histories]
+    margin = rate_margin(state.travel)
+    allowed = [float(history["depth"][0]) + margin for history in state.histories]
     if options.time_step is None:
         return max(1, math.ceil(left / (options.safety * limit) - 1e-9)), allowed
     if options.time_step > limit and state.step_count:

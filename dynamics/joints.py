@@ -353,8 +353,10 @@ class JointSystem:
         self.stored[joint_kernels.ROTORS] = energy
         return float(energy)
 
-    def rates(self) -> tuple[float, float]:
+    def rates(self, body_count: int) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of what joints add to the squared highest frequency [1/s2], and damping [1/s].
+
+        Both have a row per body, shape (body_count + 1,); the last is that of the stiffest rotor.
 
         Gershgorin's bound of the matrix scaled by the roots of the inertias: in the row of a body,
         a spring k between compliances c and c' counts ``k (c + sqrt(c c'))``. The rotors have
@@ -365,7 +367,7 @@ class JointSystem:
         out = []
         for kind in range(2):  # springs, dashpots
             point, axis, gear = self.stiffness[:, kind : joint_kernels.STIFFNESS : 2].T
-            rows = np.zeros(int(self.bodies.max(initial=-1)) + 1)
+            rows = np.zeros(body_count + 1)
             for side in range(2):
                 moved, turned = self.compliance[:, side].T
                 other_moved, other_turned = self.compliance[:, 1 - side].T
@@ -376,7 +378,8 @@ class JointSystem:
             turned = self.compliance[:, :, 1]
             rotors = (gear + gains[:, kind]) / inertia
             rotors += gear * np.sqrt(turned / inertia[:, None]).sum(axis=1)
-            out.append(float(np.concatenate([rows, rotors]).max(initial=0.0)))
+            rows[-1] = rotors.max(initial=0.0)
+            out.append(rows)
         return out[0], out[1]
 
 

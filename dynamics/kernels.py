@@ -8,7 +8,6 @@ from typing import Any
 import numba
 import numpy as np
 
-from flexapod.contact.face_kernels import POINTS, area_vector, shape, shape_derivatives
 from flexapod.contact.ground_kernels import gap_and_normal
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 
@@ -17,30 +16,49 @@ from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 PARTS = 64
 
 
+@inline_kernel
+def _bilinear(x0: float, x1: float, x2: float, x3: float) -> tuple[float, float, float]:
+    """Coefficients of xi, eta and xi eta of the field with these corner values."""
+    return (
+        0.25 * ((x1 - x0) + (x2 - x3)),
+        0.25 * ((x3 - x0) + (x2 - x1)),
+        0.25 * ((x0 - x1) + (x2 - x3)),
+    )
+
+
+@inline_kernel
+def _corner_pressure(
+    p: float, out: Any, a0: float, a1: float, b0: float, b1: float, c0: float, c1: float
+) -> None:
+    """One component of `face_pressure` from the coefficients' two others, in cyclic order."""
+    mean = -p * (a0 * b1 - a1 * b0)
+    along = -p / 3.0 * (a0 * c1 - a1 * c0)
+    across = -p / 3.0 * (c0 * b1 - c1 * b0)
+    out[0] = mean - along - across
+    out[1] = mean + along - across
+    out[2] = mean + along + across
+    out[3] = mean - along + across
+
+
 @parallel_kernel
 def face_pressure(x: Any, faces: Any, chamber: Any, pressure: Any, out: Any) -> None:
     """Nodal forces of a follower pressure on faces that look into their chambers.
 
     `chamber` (face_count,) is the row of `pressure` [Pa]; `out` (face_count, 4, 3) receives
-    external forces [N]: ``-p * integral(N_a n da)`` by the 2x2 rule, which is exact here.
+    external forces [N], ``-p * integral(N_a n da)``.
+
+    With ``x = m + xi a + eta b + xi eta c`` the area vector is ``a x b + xi a x c + eta c x b``;
+    N_a picks from it a third of each slope with its corner's signs.
     """
     for f in numba.prange(faces.shape[0]):
-        n = np.empty(4)
-        d = np.empty((4, 2))
-        c = np.empty(3)
-        for a in range(4):
-            for i in range(3):
-                out[f, a, i] = 0.0
         p = pressure[chamber[f]]
-        if p == 0.0:
-            continue
-        for q in range(4):
-            shape(POINTS[q, 0], POINTS[q, 1], n)
-            shape_derivatives(POINTS[q, 0], POINTS[q, 1], d)
-            area_vector(x, faces[f], d, c)
-            for a in range(4):
-                for i in range(3):
-                    out[f, a, i] -= p * n[a] * c[i]
+        n0, n1, n2, n3 = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+        a0, b0, c0 = _bilinear(x[n0, 0], x[n1, 0], x[n2, 0], x[n3, 0])
+        a1, b1, c1 = _bilinear(x[n0, 1], x[n1, 1], x[n2, 1], x[n3, 1])
+        a2, b2, c2 = _bilinear(x[n0, 2], x[n1, 2], x[n2, 2], x[n3, 2])
+        _corner_pressure(p, out[f, :, 0], a1, a2, b1, b2, c1, c2)
+        _corner_pressure(p, out[f, :, 1], a2, a0, b2, b0, c2, c0)
+        _corner_pressure(p, out[f, :, 2], a0, a1, b0, b1, c0, c1)
 
 
 @parallel_kernel

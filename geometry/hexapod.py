@@ -131,7 +131,7 @@ def _with_slots(row: UnitRow, builder: CurlBuilder | TurnBuilder, base: float) -
     """The row with its turning rows, lowest at z = base, ready to make room for servos."""
     if not (builder.servos and builder.servo_place == "turning_rows"):
         return row
-    n = builder.turning
+    n = builder.turning_row()
     p, length, spine = n.pitch / 2, n.outer_length / 2, n.limit_layer / 2
     joint, far = spine + n.connection_thickness, spine + n.chamber_height + n.top_wall
     z, z_floor = (base, base + n.network_width), (base, base + _slot_floor(builder))
@@ -149,7 +149,7 @@ def _with_slots(row: UnitRow, builder: CurlBuilder | TurnBuilder, base: float) -
 
 def _slot_floor(builder: CurlBuilder | TurnBuilder) -> float:
     """Height [m] of what stays of a unit beside a servo: the assistant chambers need a ceiling."""
-    return builder.turning.outer_wall if isinstance(builder, CurlBuilder) else 0.0
+    return builder.turning_row().outer_wall if isinstance(builder, CurlBuilder) else 0.0
 
 
 def _slot_volumes(builder: CurlBuilder | TurnBuilder, sizing: Sizing) -> tuple[float, float]:
@@ -157,7 +157,7 @@ def _slot_volumes(builder: CurlBuilder | TurnBuilder, sizing: Sizing) -> tuple[f
 
     Closed form in the stations' snapped ends; the whole body's, whatever part is modelled.
     """
-    row, n = builder.row(), _built(builder.turning, builder.air_paths)
+    row, n = builder.row(), _built(builder.turning_row(), builder.air_paths)
     if not row.servo_boxes:
         return 0.0, 0.0
     stations = place_stations(row, sizing, _stations(builder))
@@ -176,6 +176,35 @@ def _slot_volumes(builder: CurlBuilder | TurnBuilder, sizing: Sizing) -> tuple[f
 def _built(row: PneumaticNetwork, air_paths: bool) -> PneumaticNetwork:
     """The row with or without its air path."""
     return row if air_paths else replace(row, air_path=0.0)
+
+
+def align_rows(
+    main: PneumaticNetwork, assistant: PneumaticNetwork, turning: PneumaticNetwork
+) -> tuple[PneumaticNetwork, PneumaticNetwork, PneumaticNetwork]:
+    """The rows of a curling part with their walls in common planes.
+
+    A plane needed by one row cuts all of them (see `flexapod.geometry.blocks`): with the paper's
+    dimensions there are elements of 1 mm across and 1.5 mm along, which no wall asks for. So:
+
+    - along the body assistant and turning chambers are as long, as thick-walled and as far apart
+      as the main row's (a, f, d, l);
+    - the main row's wall towards the assistants is as thick as theirs (g), inwards; their common
+      wall then lies in the same planes, and what it takes from the main row their width b gets;
+    - the main row's connection (e) begins at the assistants' ceiling.
+    """
+    along = {
+        "chamber_length": main.chamber_length,
+        "inner_wall": main.inner_wall,
+        "gap": main.gap,
+        "outer_length": main.outer_length,
+    }
+    thicker = assistant.outer_wall - main.outer_wall
+    above = main.top_wall + main.chamber_height - assistant.top_wall - assistant.chamber_height
+    return (
+        replace(main, outer_wall=assistant.outer_wall, connection_thickness=above),
+        replace(assistant, network_width=assistant.network_width + thicker, **along),
+        replace(turning, **along),
+    )
 
 
 def _turn_boxes(n: PneumaticNetwork, spine: float, base: float) -> list[Box]:
@@ -232,6 +261,9 @@ class CurlBuilder:
         "ventilation": a hole joins each assistant chamber to its unit's main chamber, and the
         air of both is "cavity_curl". "row": an air path along x joins the assistant chambers of
         a side; cavities "cavity_main", "cavity_assistant_left" and "..._right".
+    aligned_rows
+        Whether walls of neighbouring rows are brought into common planes, for a small mesh of
+        thick elements with large stable steps: see `align_rows`. Not the robot's own section.
     main, assistant, turning
         Dimensions of the rows. The assistant's k is the side of hole or path.
     """
@@ -245,6 +277,7 @@ class CurlBuilder:
     servo_place: str = "limit_layer"
     air_paths: bool = True
     assistant_feed: str = "ventilation"
+    aligned_rows: bool = False
     main: PneumaticNetwork = MAIN_CURL
     assistant: PneumaticNetwork = ASSISTANT_CURL
     turning: PneumaticNetwork = TURNING
@@ -258,7 +291,7 @@ class CurlBuilder:
                 f"got {self.assistant_feed!r}",
                 "mesh.assistant_feed",
             )
-        m, s, r = self.main, self.assistant, self.turning
+        m, s, r = self._sections()
         for name, row in (("assistant", s), ("turning", r)):
             _same("l + d of main", m.pitch, f"l + d of {name}", row.pitch)
         _same("b of main", m.network_width, "t of turning", r.limit_layer)
@@ -274,7 +307,7 @@ class CurlBuilder:
             s.top_wall + s.chamber_height,
             m.top_wall + m.chamber_height,
         )
-        _less("g of main < g of assistant", m.outer_wall, s.outer_wall)
+        _less("g of main <= g of assistant", m.outer_wall, s.outer_wall + 2 * _CLOSE)
         if self._ventilated:
             _less("k of assistant < a of assistant", s.air_path, s.chamber_length)
             _less("k of assistant < a of main", s.air_path, m.chamber_length)
@@ -293,12 +326,22 @@ class CurlBuilder:
         """Length of the whole body [m]."""
         return self.units * self.main.pitch
 
+    def _sections(self) -> tuple[PneumaticNetwork, PneumaticNetwork, PneumaticNetwork]:
+        """Main, assistant and turning dimensions with their air paths."""
+        rows = self.main, self.assistant, self.turning
+        return align_rows(*rows) if self.aligned_rows else rows
+
+    def turning_row(self) -> PneumaticNetwork:
+        """The turning rows' dimensions."""
+        return self._sections()[2]
+
     def _rows(self) -> tuple[PneumaticNetwork, PneumaticNetwork, PneumaticNetwork]:
         """Main, assistant and turning dimensions as built."""
+        m, s, r = self._sections()
         return (
-            _built(self.main, self.air_paths),
-            _built(self.assistant, self.air_paths),
-            _built(self.turning, self.air_paths),
+            _built(m, self.air_paths),
+            _built(s, self.air_paths),
+            _built(r, self.air_paths),
         )
 
     def row(self) -> UnitRow:
@@ -517,6 +560,10 @@ class TurnBuilder:
     @property
     def _spine(self) -> float:
         return self.turning.network_width if self.spine_height is None else self.spine_height
+
+    def turning_row(self) -> PneumaticNetwork:
+        """The rows' dimensions."""
+        return self.turning
 
     def row(self) -> UnitRow:
         """Half a unit as painted boxes."""

@@ -21,6 +21,7 @@ from flexapod.app.pool import with_values
 from flexapod.app.run import RunResult, run_case
 from flexapod.app.search import Range
 from flexapod.core.errors import InputError, Status
+from flexapod.dynamics.integrator import highest_frequency
 from flexapod.geometry.legs import CLeg
 
 RIGID = ["robot.body=rigid"]
@@ -92,7 +93,10 @@ def test_the_body_says_how_fine_the_mesh_is() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (["robot.body=soft"], "robot.body: must be 'full', 'coarse' or 'rigid'; got 'soft'"),
+        (
+            ["robot.body=soft"],
+            "robot.body: must be 'full', 'medium', 'coarse' or 'rigid'; got 'soft'",
+        ),
         (["robot.legs.height=50"], "robot.legs.height: write a length with its unit"),
         (['robot.legs.mass="-3 g"'], "robot.legs.mass"),
         (['robot.servo.stall_torque="25 kg"'], "robot.servo.stall_torque: write a torque"),
@@ -176,8 +180,9 @@ def test_a_search_of_a_climb_may_go_to_negative_slopes() -> None:
 
 def test_whole_and_half_robot_weigh_and_stand_alike() -> None:
     """1.9 kg (paper), six legs; half of it has the three left ones and half the mass."""
-    whole = assemble_motion(load_case("stand"), None, print, settle=False)
-    half = assemble_motion(load_case("pronk_earth"), None, print, settle=False)
+    medium = ["robot.body=medium"]
+    whole = assemble_motion(load_case("stand", medium), None, print, settle=False)
+    half = assemble_motion(load_case("pronk_earth", medium), None, print, settle=False)
     assert whole.mass == pytest.approx(1.9, rel=1e-3)
     assert half.mass == pytest.approx(0.5 * whole.mass, rel=1e-9)
     assert whole.model.rigid.names[:3] == ("servo_0", "servo_1", "servo_2")
@@ -193,9 +198,28 @@ def test_whole_and_half_robot_weigh_and_stand_alike() -> None:
     assert whole.state.x[: whole.model.rigid_start, 2].min() == pytest.approx(0.0135, abs=1e-4)
 
 
+def test_coarse_body_has_a_third_of_the_elements_and_its_joints_do_not_limit_the_step() -> None:
+    """Its section is not the robot's own: 33 g more silicone, by the builder's closed form."""
+    coarse = assemble_motion(load_case("stand"), None, print, settle=False)
+    mesh = load_case("stand").case.sized_mesh
+    assert mesh is not None and mesh.options["aligned_rows"] is True
+    assert coarse.size[0] == 4824  # medium: 12,240
+    assert coarse.mass == pytest.approx(1.9 + 0.0327, rel=1e-3)
+    model, work = coarse.model, coarse.work
+    spring, dashpot = model.joints.rates(len(model.rigid.names))
+    assert spring.shape == dashpot.shape == (len(model.rigid.names) + 1,)
+    legs = [model.rigid.names.index(j.name) for j in model.joints.joints]
+    # A leg weighs 15 g, a station 172 g: the springs between them shake legs first.
+    assert spring[legs].min() > 1.5 * np.delete(spring[:-1], legs).max()
+    # No element feels the legs' joints: it may be at a station, but at no leg.
+    highest_frequency(model, coarse.state, work)
+    stations = np.delete(spring[:-1], legs).max()
+    assert work.springs[model.cells].max() <= stations * (1.0 + 1e-12)
+
+
 def test_rigid_torso_has_mass_and_inertia_of_the_body() -> None:
     """The box stands for the mesh: mass, centre and inertia of the nodes it replaces."""
-    whole = assemble_motion(load_case("stand"), None, print, settle=False)
+    whole = assemble_motion(load_case("stand", ["robot.body=medium"]), None, print, settle=False)
     rigid = assemble_motion(load_case("stand", RIGID), None, print, settle=False)
     assert rigid.model.soft_cells.size == 0
     assert rigid.mass == pytest.approx(whole.mass, rel=1e-12)

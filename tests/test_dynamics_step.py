@@ -136,3 +136,25 @@ def test_a_fall_through_the_ground_names_the_deepest_face() -> None:
     with pytest.raises(SolverError, match="6 mm deep in the ground") as failed:
         march(model, state, Workspace(model), 1, Options(interval=1e-4))
     assert failed.value.status is Status.FELL_THROUGH
+
+
+def test_the_step_is_chosen_again_when_contact_finds_other_faces() -> None:
+    """A cube falls to the ground within one interval, which begins with no face near.
+
+    The step chosen at the start knows of no contact; with a stiff one it would not be stable. Of
+    the skin of 0.2 mm each search is a new look, so the steps get smaller before it touches.
+    """
+    mesh = grid((2, 2, 2), lambda x: 0.02 * x + [0.0, 0.0, 1e-3])
+    ground = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), FrictionLaw.constant(0.0))
+    contact = GroundContact(
+        "ground", mesh.nodes, mesh.facet_groups["z0"], ground, ContactLaw(1e4 * LAW.stiffness),
+        skin=2e-4,
+    )  # fmt: skip
+    model = Model(solid(mesh, NeoHooke(73e3), 0.45, 1080.0), contacts=[contact])
+    state, work, stats = model.start(), Workspace(model), RunStats()
+    state.v[:, 2] = -0.2
+    march(model, state, work, 1, Options(interval=7e-3), stats=stats)
+    assert stats.estimates > 3 and stats.deepest > 0.0
+    assert stats.smallest_step < 0.5 * stats.largest_step
+    # It came down 1 mm at 0.2 m/s and is on its way up: nothing blew up.
+    assert state.v[:, 2].mean() > 0.0 and np.abs(state.v).max() < 1.0
