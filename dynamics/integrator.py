@@ -212,10 +212,9 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     """
     work.springs[:] = 0.0
     work.dashpots[:] = 0.0
-    for contact, history in zip(model.contacts, state.histories, strict=True):
-        contact.add_rates(
-            history, work.inverse_mass, rate_margin(state.travel), work.springs, work.dashpots
-        )
+    rows = zip(model.contacts, state.histories, _margins(model, state), strict=True)
+    for contact, history, margin in rows:
+        contact.add_rates(history, work.inverse_mass, margin, work.springs, work.dashpots)
     for bond, whole in zip(model.bonds, state.whole, strict=True):
         if whole:
             for side in range(2):
@@ -251,6 +250,14 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
             )
         square = max(square, float(work.rates[worst]))
     return math.sqrt(square)
+
+
+def _margins(model: Model, state: State) -> list[float]:
+    """How much deeper each contact may go before the step is chosen again [m]."""
+    return [
+        rate_margin(contact.near_travel(state.v, history, state.dt_before, state.travel))
+        for contact, history in zip(model.contacts, state.histories, strict=True)
+    ]
 
 
 def _squared(springs: Any, dashpots: Any) -> Any:
@@ -835,8 +842,9 @@ def _choose_step(
     """
     state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
-    margin = rate_margin(state.travel)
-    allowed = [float(history["depth"][0]) + margin for history in state.histories]
+    margins = _margins(model, state)
+    depths = (float(history["depth"][0]) for history in state.histories)
+    allowed = [depth + margin for depth, margin in zip(depths, margins, strict=True)]
     if options.time_step is None:
         return max(1, math.ceil(left / (options.safety * limit) - 1e-9)), allowed
     if options.time_step > limit and state.step_count:
