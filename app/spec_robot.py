@@ -143,8 +143,8 @@ class RobotSpec(Table):
         default="coarse",
         description="full: two elements through each wall. medium: one element. coarse: one "
         "element, and the rows' walls in common planes (mesh.aligned_rows). rigid: a box with "
-        "the body's mass and inertia, for the design of gaits; it takes no pressure. A size in "
-        "[mesh] is left as it is.",
+        "the body's mass and inertia, for the design of gaits; it takes no pressure. Where [mesh] "
+        "has a size, it decides alone, aligned_rows too.",
     )
     marker: tuple[Length, Length, Length] = Field(
         default=default_text("0 mm", "0 mm", "36.5 mm"),

@@ -401,7 +401,8 @@ def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
 # for. The paper's damping grows with the square of the depth: at 0.3 mm its dashpot alone asks for
 # steps of 4 us, so more than the body is likely to sink in within a few steps is not allowed for
 # but looked at again, which is cheap. A walking robot's steps are longer by a third with 15 um;
-# what comes 25 um nearer in one step needs the larger margin.
+# what comes 25 um nearer in one step needs the larger margin. It is the deepest point of a contact
+# that is watched: others may come up to its depth unseen until the next search or interval.
 LEAST_MARGIN, RATE_MARGIN = 1.5e-5, 5e-5
 
 
@@ -646,7 +647,10 @@ class SurfaceContact:
         history["depth"][0] = self.totals[DEPTH]
 
     def near_travel(self, v: np.ndarray, history: History, dt: float, travel: float) -> float:
-        """See `DynamicContact`; both surfaces move, at most so far each."""
+        """See `DynamicContact`; both surfaces move, at most so far each.
+
+        So the factor two of `rate_margin` is used up, and a search or a greater depth must help.
+        """
         return travel
 
     def add_rates(

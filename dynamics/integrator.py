@@ -20,6 +20,7 @@ from flexapod.dynamics import joint_kernels, kernels, line_kernels, rigid_kernel
 from flexapod.dynamics.contacts import (
     DEPTH,
     ENERGY,
+    RATE_MARGIN,
     STICK,
     GroundContact,
     account,
@@ -254,6 +255,8 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
 
 def _margins(model: Model, state: State) -> list[float]:
     """How much deeper each contact may go before the step is chosen again [m]."""
+    if state.dt_before == 0.0:
+        return [RATE_MARGIN] * len(model.contacts)  # no step yet to judge by
     return [
         rate_margin(contact.near_travel(state.v, history, state.dt_before, state.travel))
         for contact, history in zip(model.contacts, state.histories, strict=True)

@@ -291,7 +291,8 @@ class CurlBuilder:
                 f"got {self.assistant_feed!r}",
                 "mesh.assistant_feed",
             )
-        m, s, r = self._sections()
+        # Of the rows as given: those brought into common planes keep what holds for these.
+        m, s, r = self.main, self.assistant, self.turning
         for name, row in (("assistant", s), ("turning", r)):
             _same("l + d of main", m.pitch, f"l + d of {name}", row.pitch)
         _same("b of main", m.network_width, "t of turning", r.limit_layer)
@@ -307,7 +308,7 @@ class CurlBuilder:
             s.top_wall + s.chamber_height,
             m.top_wall + m.chamber_height,
         )
-        _less("g of main <= g of assistant", m.outer_wall, s.outer_wall + 2 * _CLOSE)
+        _less("g of main < g of assistant", m.outer_wall, s.outer_wall)
         if self._ventilated:
             _less("k of assistant < a of assistant", s.air_path, s.chamber_length)
             _less("k of assistant < a of main", s.air_path, m.chamber_length)
@@ -327,7 +328,7 @@ class CurlBuilder:
         return self.units * self.main.pitch
 
     def _sections(self) -> tuple[PneumaticNetwork, PneumaticNetwork, PneumaticNetwork]:
-        """Main, assistant and turning dimensions with their air paths."""
+        """Main, assistant and turning dimensions, brought into common planes where asked for."""
         rows = self.main, self.assistant, self.turning
         return align_rows(*rows) if self.aligned_rows else rows
 

@@ -22,6 +22,7 @@ from flexapod.app.run import RunResult, run_case
 from flexapod.app.search import Range
 from flexapod.core.errors import InputError, Status
 from flexapod.dynamics.integrator import highest_frequency
+from flexapod.geometry.hexapod import CurlBuilder
 from flexapod.geometry.legs import CLeg
 
 RIGID = ["robot.body=rigid"]
@@ -204,7 +205,12 @@ def test_coarse_body_has_a_third_of_the_elements_and_its_joints_do_not_limit_the
     mesh = load_case("stand").case.sized_mesh
     assert mesh is not None and mesh.options["aligned_rows"] is True
     assert coarse.size[0] == 4824  # medium: 12,240
-    assert coarse.mass == pytest.approx(1.9 + 0.0327, rel=1e-3)
+    silicone = [
+        1080.0 * CurlBuilder(size=0.02, air_paths=False, aligned_rows=aligned).expected_volume() * 4
+        for aligned in (False, True)
+    ]
+    assert silicone[1] - silicone[0] == pytest.approx(0.033, abs=1e-3)
+    assert coarse.mass == pytest.approx(1.9 + silicone[1] - silicone[0], rel=1e-4)
     model, work = coarse.model, coarse.work
     spring, dashpot = model.joints.rates(len(model.rigid.names))
     assert spring.shape == dashpot.shape == (len(model.rigid.names) + 1,)

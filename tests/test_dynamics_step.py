@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from statics_helpers import grid, solid
 
-from flexapod.contact.ground import Plane
+from flexapod.contact.ground import Plane, Step
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.core.errors import SolverError, Status
-from flexapod.dynamics import integrator
+from flexapod.dynamics import integrator, kernels
 from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
-from flexapod.dynamics.contacts import GroundContact, SurfaceContact
+from flexapod.dynamics.contacts import GroundContact, SurfaceContact, rate_margin
 from flexapod.dynamics.integrator import (
     Options,
     RunStats,
@@ -158,3 +158,43 @@ def test_the_step_is_chosen_again_when_contact_finds_other_faces() -> None:
     assert stats.smallest_step < 0.5 * stats.largest_step
     # It came down 1 mm at 0.2 m/s and is on its way up: nothing blew up.
     assert state.v[:, 2].mean() > 0.0 and np.abs(state.v).max() < 1.0
+
+
+def test_faces_are_pressed_as_by_quadrature() -> None:
+    """The closed form against the 2x2 rule, which is exact, on warped faces; to round-off."""
+    rng = np.random.default_rng(7)
+    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) + 0.3 * rng.standard_normal((4, 3))
+    out = np.full((1, 4, 3), np.nan)
+    kernels.face_pressure(
+        x, np.array([[0, 1, 2, 3]]), np.zeros(1, int), np.array([2.5]), out
+    )  # fmt: skip
+    expected = np.zeros((4, 3))
+    g = 1.0 / np.sqrt(3.0)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for xi, eta in g * signs:
+        n = 0.25 * (1.0 + xi * signs[:, 0]) * (1.0 + eta * signs[:, 1])
+        along = (0.25 * signs[:, 0] * (1.0 + eta * signs[:, 1])) @ x
+        across = (0.25 * signs[:, 1] * (1.0 + xi * signs[:, 0])) @ x
+        expected -= 2.5 * n[:, None] * np.cross(along, across)
+    np.testing.assert_allclose(out[0], expected, rtol=0.0, atol=1e-15)
+
+
+def test_contact_allows_for_what_comes_nearer() -> None:
+    """Only near faces count, and over a plane only their way into it; clamped to 15 and 50 um."""
+    mesh = grid((2, 2, 2), lambda x: 0.02 * x + [0.0, 0.0, 1e-4])
+    flat = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), FrictionLaw.constant(0.5))
+    step_ahead = Step(1.0, 0.01, FrictionLaw.constant(0.5))
+    faces = mesh.facet_groups["z0"]
+    v = np.zeros_like(mesh.nodes)
+    v[faces.ravel()] = [3.0, 0.0, -2.0]
+    v[mesh.facet_groups["z1"].ravel()] = [0.0, 0.0, -90.0]  # far from the ground
+    for ground, way in ((flat, 2e-5), (step_ahead, 1e-5 * np.sqrt(13.0))):
+        contact = GroundContact("ground", mesh.nodes, faces, ground, LAW)
+        history = contact.start(mesh.nodes)
+        assert contact.near_travel(v, history, 1e-5, 1.0) == pytest.approx(way, rel=1e-12)
+        assert contact.near_travel(0.0 * v, history, 1e-5, 1.0) == 0.0
+    leaving = GroundContact("ground", mesh.nodes, faces, flat, LAW)
+    assert leaving.near_travel(-v, leaving.start(mesh.nodes), 1e-5, 1.0) == 0.0
+    away = leaving.start(mesh.nodes + [0.0, 0.0, 1.0])
+    assert leaving.near_travel(v, away, 1e-5, 1.0) == 0.0
+    assert [rate_margin(w) for w in (0.0, 1e-5, 1.0)] == [1.5e-5, 2e-5, 5e-5]
