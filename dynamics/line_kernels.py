@@ -477,7 +477,8 @@ def march(
     The steps of `integrator.step` for a model of line elements with one ground at most (none: no
     faces), without what happens at an interval's first step. `out` (3,) receives the steps done,
     the bound of a node's way in the last one [m] and the deepest point met [m]. It stops after a
-    step in which contact was deeper than `allowed` [m], and before one that would fail.
+    step in which contact was deeper than `allowed` [m] or had looked for faces anew, and before one
+    that would fail.
     """
     out[0] = 0.0
     out[1] = travel
@@ -498,9 +499,11 @@ def march(
             dissipative = ground.curve_dissipative
             elastic[:] = 0.0
             dissipative[:] = 0.0
+        searched = False
         if ground.faces.shape[0] > 0:
             ground.way[0] += ground.reach * out[1]
-            if ground.way[0] > ground.skin:
+            searched = ground.way[0] > ground.skin
+            if searched:
                 search_ground(x, ground)
         nodes.elastic[:] = 0.0
         nodes.dissipative[:] = 0.0
@@ -586,7 +589,8 @@ def march(
         out[0] += 1.0
         out[1] = math.sqrt(fastest) * dt
         dt_before = dt
-        if ground.faces.shape[0] > 0 and ground.depth[0] > allowed and k < count - 1:
+        deeper = ground.faces.shape[0] > 0 and ground.depth[0] > allowed
+        if (deeper or searched) and k < count - 1:
             return DEEPER
     return DONE
 
