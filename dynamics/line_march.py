@@ -66,7 +66,7 @@ class LineMarch:
     def march(
         self, begin: float, dt: float, count: int, allowed: list[float]
     ) -> tuple[int, float, int]:
-        """Up to `count` steps of `dt` [s] from time `begin` [s], until a contact is not as it was chosen for.
+        """Up to `count` steps of `dt` [s] from time `begin` [s], until a contact has changed.
 
         Returns the steps done, the deepest point met [m], and how it ended: `line_kernels.DONE`,
         `DEEPER` than `allowed` [m], or `TROUBLE`, which the caller names.
