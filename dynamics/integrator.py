@@ -161,7 +161,8 @@ class Workspace:
         self.rotor_energy = 0.0  # of motion
         self.joint_spent = np.zeros(3)
         self.kinetic = 0.0
-        self.searched = False  # whether the last forces found other faces near than before
+        self.searched = False  # whether the last forces looked for near faces anew
+        self.margins: list[float] = []  # depth the step allows for beyond each contact's own [m]
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)
         self.springs = np.zeros(shape[0])
@@ -213,7 +214,8 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     """
     work.springs[:] = 0.0
     work.dashpots[:] = 0.0
-    rows = zip(model.contacts, state.histories, _margins(model, state), strict=True)
+    work.margins = _margins(model, state)
+    rows = zip(model.contacts, state.histories, work.margins, strict=True)
     for contact, history, margin in rows:
         contact.add_rates(history, work.inverse_mass, margin, work.springs, work.dashpots)
     for bond, whole in zip(model.bonds, state.whole, strict=True):
@@ -845,9 +847,8 @@ def _choose_step(
     """
     state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
-    margins = _margins(model, state)
     depths = (float(history["depth"][0]) for history in state.histories)
-    allowed = [depth + margin for depth, margin in zip(depths, margins, strict=True)]
+    allowed = [depth + margin for depth, margin in zip(depths, work.margins, strict=True)]
     if options.time_step is None:
         return max(1, math.ceil(left / (options.safety * limit) - 1e-9)), allowed
     if options.time_step > limit and state.step_count:
