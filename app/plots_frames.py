@@ -1,7 +1,8 @@
 """A motion's shapes: a strip of snapshots, the last shape, and the animation.
 
-They look along +y: x to the right, z up, the ground where it was. Bodies are drawn one by one at
-the scene's scale and laid over it, so that a long way costs no more to draw than a short one.
+They look along +y: x to the right, z up, the ground where it was; or from above, if the case's
+`plot.view` says "top". Bodies are drawn one by one at the scene's scale and laid over it, so that a
+long way costs no more to draw than a short one.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from flexapod.app.plots import (
 from flexapod.app.plots_film import film_palette, playing, write_film
 from flexapod.app.plots_ground import EDGE, ground_sheet
 from flexapod.app.plots_rigid import painted, with_rigid
-from flexapod.app.plots_skin import Skin, SkinReader, colour_limits, draw_skins
+from flexapod.app.plots_skin import Skin, SkinReader, colour_limits, draw_skins, screen_axes
 from flexapod.app.plots_stage import (
     DPI,
     Stage,
@@ -50,7 +51,10 @@ class Frames:
     results: Results
     reader: SkinReader
     index: tuple[int, ...]  # of fields that can be drawn
-    boxes: np.ndarray  # bounds of each [m], low and high, shape (frame_count, 2, 3)
+    view: str  # "side" or "top"
+    # Bounds of each [m], low and high: across the screen, towards the eye, up the screen;
+    # shape (frame_count, 2, 3).
+    boxes: np.ndarray
     limits: tuple[float, float]
 
     def __len__(self) -> int:
@@ -66,13 +70,27 @@ class Frames:
 
     @property
     def half_width(self) -> float:
-        """Largest |y| of any [m]."""
+        """Largest |y| of any [m], seen from the side."""
         return float(np.abs(self.boxes[:, :, 1]).max())
+
+    @property
+    def axis(self) -> str:
+        """Names the axis that the scenes' ticks are along."""
+        return "x [mm], from above" if self.view == "top" else "x [mm]"
+
+    def bounds(
+        self, chosen: Sequence[int], grounds: Sequence[Ground]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Window on the screen [m] for some frames and the ground beneath them."""
+        return scene_bounds(self.boxes[list(chosen)], grounds if self.view == "side" else ())
 
 
 def read_frames(results: Results) -> Frames | None:
     """Look through all frames once; None without any."""
     reader = with_rigid(skin_reader(results))
+    # A turn is seen from above only. The other views say how the last shape alone is drawn.
+    view = "top" if results.case.get("plot", {}).get("view") == "top" else "side"
+    turn = screen_axes(view)[[0, 2, 1]]
     index: list[int] = []
     boxes: list[np.ndarray] = []
     sample: list[Skin] = []
@@ -83,13 +101,14 @@ def read_frames(results: Results) -> Frames | None:
         if not np.isfinite(skin.points).all():
             continue
         index.append(i)
-        boxes.append(np.array([skin.points.min(axis=0), skin.points.max(axis=0)]))
+        points = skin.points @ turn.T
+        boxes.append(np.array([points.min(axis=0), points.max(axis=0)]))
         if i % every == 0 and np.isfinite(skin.values).all():
             sample.append(skin)
     if not index:
         return None
     limits = colour_limits(sample) if sample else (0.0, 1.0)
-    return Frames(results, reader, tuple(index), np.array(boxes), limits)
+    return Frames(results, reader, tuple(index), view, np.array(boxes), limits)
 
 
 def plot_motion_snapshots(
@@ -103,7 +122,7 @@ def plot_motion_snapshots(
         strip = strip_frames(frames.boxes)
     even = np.linspace(0, len(frames) - 1, min(6, len(frames))).round().astype(int)
     chosen = strip or wanted or sorted(set(even.tolist()))
-    low, high = scene_bounds(frames.boxes[chosen], grounds)
+    low, high = frames.bounds(chosen, grounds)
     columns = 1
     if strip is None and len(chosen) > 1:
         # As many beside each other as gives a picture a little wider than high.
@@ -112,7 +131,7 @@ def plot_motion_snapshots(
     rows = 1 if strip is not None else -(-len(chosen) // columns)
     stage = Stage(
         low, high, heading_of(results), width=12.0, height=8.5, dpi=DPI,
-        rows=rows, columns=columns, above=0.26,
+        rows=rows, columns=columns, above=0.26, view=frames.view,
     )  # fmt: skip
     stage.ground(grounds, frames.half_width)
     for scene, frame in enumerate(chosen):
@@ -128,7 +147,7 @@ def plot_motion_snapshots(
             stage.axes[scene].set_title(time, fontsize=10, pad=3)
     for axes in stage.axes[len(chosen) :]:
         axes.set_visible(False)
-    stage.colour_bar(frames.limits, frames.reader.text)
+    stage.colour_bar(frames.limits, frames.reader.text, axis=frames.axis)
     save_figure(stage.figure, path)
 
 
@@ -137,22 +156,23 @@ def plot_motion_final(
 ) -> None:
     """The last shape, large, on the ground."""
     last = len(frames) - 1
-    skin, box = frames.skin(last), frames.boxes[last]
+    skin = frames.skin(last)
     limits = colour_limits([skin])
     heading = heading_of(results, f"after {frames.times[last]:.4g} s")
     view = results.case.get("plot", {}).get("view", "corner")
-    low, high = scene_bounds(frames.boxes[[last]], grounds)
-    if view == "side":
-        stage = Stage(low, high, heading, width=8.4, height=7.5, dpi=DPI)
+    if view == frames.view:
+        low, high = frames.bounds([last], grounds)
+        stage = Stage(low, high, heading, width=8.4, height=7.5, dpi=DPI, view=view)
         stage.ground(grounds, frames.half_width)
         stage.place(0, *stage.body(skin, limits))
-        stage.colour_bar(limits, frames.reader.text)
+        stage.colour_bar(limits, frames.reader.text, axis=frames.axis)
         save_figure(stage.figure, path)
         return
     sheet = None
     if grounds:
-        room = 0.2 * float((box[1] - box[0])[:2].max())
-        sheet = ground_sheet(grounds, box[0] - room, box[1] + room)
+        low, high = skin.points.min(axis=0), skin.points.max(axis=0)
+        room = 0.2 * float((high - low)[:2].max())
+        sheet = ground_sheet(grounds, low - room, high + room)
     shown, wide, colours = painted(skin, limits)
     image = draw_skins([shown], view, 1300, wide, colours, sheet)[0]
     height, width = image.shape[:2]
@@ -176,10 +196,13 @@ def _film(
     speed: float,
 ) -> Iterator[np.ndarray]:
     """Images of the chosen frames, shape (height, width, 3), before one still ground."""
-    low, high = scene_bounds(frames.boxes, grounds)
-    stage = Stage(low, high, heading_of(results), width=12.0, height=6.4, dpi=100, above=0.24)
+    low, high = frames.bounds(range(len(frames)), grounds)
+    stage = Stage(
+        low, high, heading_of(results), width=12.0, height=6.4, dpi=100, above=0.24,
+        view=frames.view,
+    )  # fmt: skip
     stage.ground(grounds, frames.half_width)
-    stage.colour_bar(frames.limits, frames.reader.text)
+    stage.colour_bar(frames.limits, frames.reader.text, axis=frames.axis)
     axes = stage.axes[0]
     above = 1.0 + 6.0 / stage.height
     if speed != 1.0:

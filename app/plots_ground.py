@@ -110,3 +110,20 @@ def draw_ground(axes: Any, grounds: Sequence[Ground], half_width: float = 0.0) -
     x, z = 1000.0 * ground_profile(grounds, low, high).T
     axes.fill_between(x, np.minimum(z, bottom), z, color=GROUND, lw=0, zorder=0.6)
     axes.plot(x, z, color=EDGE, lw=1.1, zorder=1.2)
+
+
+def draw_ground_map(axes: Any, grounds: Sequence[Ground]) -> None:
+    """Fill the axes [mm] with the ground seen from above, darker where it is higher."""
+    if not grounds:
+        return
+    x, y = axes.get_xlim(), axes.get_ylim()
+    across, up = 0.001 * np.linspace(*x, 300), 0.001 * np.linspace(*y, 200)
+    z = np.max([ground_heights(g, across[None, :], up[:, None]) for g in grounds], axis=0)
+    rise = float(np.ptp(z))
+    axes.set_facecolor(PALE)
+    if rise > 1e-9:
+        axes.contourf(
+            1000.0 * across, 1000.0 * up, z, levels=12, cmap="Greys", alpha=0.35, zorder=0.5
+        )
+    axes.set_xlim(x)
+    axes.set_ylim(y)

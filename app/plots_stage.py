@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from flexapod.app.plots import Results
-from flexapod.app.plots_ground import draw_ground, ground_profile
+from flexapod.app.plots_ground import draw_ground, draw_ground_map, ground_profile
 from flexapod.app.plots_rigid import painted
 from flexapod.app.plots_skin import Skin, draw_clear, screen_axes
 from flexapod.contact.ground import Ground
@@ -133,9 +133,12 @@ class Stage:
         )
 
     def ground(self, grounds: Sequence[Ground], half_width: float) -> None:
-        """Draw the ground in all scenes."""
+        """Draw the ground in all scenes, in side view or from above."""
         for axes in self.axes:
-            draw_ground(axes, grounds, half_width)
+            if self.view == "top":
+                draw_ground_map(axes, grounds)
+            else:
+                draw_ground(axes, grounds, half_width)
 
     def body(
         self, skin: Skin, limits: tuple[float, float], colours: str = "", lines: bool = True

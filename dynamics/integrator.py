@@ -169,6 +169,10 @@ class Workspace:
         self.dashpots = np.zeros(shape[0])
         # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
         self.inverse_mass = model.inverse_mass()
+        # Neither stiffness nor inertia of a joint changes on its way.
+        self.joint_rates = None
+        if model.joints is not None:
+            self.joint_rates = model.joints.rates(len(model.rigid.names))
         self.tangents = np.empty((0, fem_kernels.PAIR_COUNT, 3, 3))
         self.cell_pressure = np.zeros(model.soft_cells.size)
         self.clock = Clock()
@@ -231,9 +235,9 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
         )
     _gather_owned(model, work)
     square = 0.0
-    if model.joints is not None:
+    if work.joint_rates is not None:
         # The bodies they hold may be in elements and in contact too: bounds of sums add up.
-        spring, dashpot = model.joints.rates(len(model.rigid.names))
+        spring, dashpot = work.joint_rates
         owner = model.owner[model.owned]
         work.springs[model.owned] += spring[owner]
         work.dashpots[model.owned] += dashpot[owner]
