@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from flexapod.app.motion_robot import RobotParts, Torso
     from flexapod.dynamics.commands import Chamber
     from flexapod.dynamics.contacts import History
-    from flexapod.dynamics.integrator import Workspace
     from flexapod.dynamics.model import Model, State
+    from flexapod.dynamics.workspace import Workspace
     from flexapod.fem.body import SolidBody
     from flexapod.geometry.tagged import TaggedMesh
 
@@ -150,8 +150,9 @@ def assemble_motion(
     With `settled` (`settled_shape`) it is that one. Without `sink` it is not made to bear its
     weight.
     """
-    from flexapod.dynamics.integrator import Workspace, scale_mass
     from flexapod.dynamics.model import Damping, Model
+    from flexapod.dynamics.stable import scale_mass
+    from flexapod.dynamics.workspace import Workspace
     from flexapod.fem.body import SolidBody
     from flexapod.geometry.unfold import unfold, unfold_shares, unfold_vectors
 
@@ -293,8 +294,8 @@ def _settle(
 
     Nor does it meet loose bodies: those have their place in space, which it has not yet.
     """
-    from flexapod.dynamics.contacts import SurfaceContact
-    from flexapod.dynamics.integrator import Workspace
+    from flexapod.dynamics.surface_contact import SurfaceContact
+    from flexapod.dynamics.workspace import Workspace
 
     still = _at_rest(model, spec)
     still.gravity = np.zeros(3)
@@ -336,7 +337,7 @@ def _sink_in(
     Loose bodies are held where they are. Weight without its part along the slope is eased on. So a
     motion begins with the body flattened as it lies, not with a fall into its own flattening.
     """
-    from flexapod.dynamics.integrator import Workspace
+    from flexapod.dynamics.workspace import Workspace
 
     still = _at_rest(model, spec)
     still.rigid = rigid.held()
@@ -493,7 +494,7 @@ def turned(x: np.ndarray, angle: float) -> np.ndarray:
 
 def put_on_ground(x: np.ndarray, ground: Any, slope: float) -> np.ndarray:
     """Points [m] moved along the normal of the slope [rad] until the lowest touches the ground."""
-    from flexapod.dynamics.contacts import gaps
+    from flexapod.dynamics.ground_contact import gaps
 
     if ground is None:
         return x

@@ -30,7 +30,8 @@ RIGID_MODULUS = 1e6
 def make_contacts(
     loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, rigid: RigidParts
 ) -> tuple[Any, list[DynamicContact]]:
-    from flexapod.dynamics.contacts import GroundContact, SurfaceContact
+    from flexapod.dynamics.ground_contact import GroundContact
+    from flexapod.dynamics.surface_contact import SurfaceContact
 
     first: Any = None
     contacts: list[DynamicContact] = []

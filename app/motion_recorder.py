@@ -233,8 +233,9 @@ class Recorder:
 
     def resume(self) -> bool:
         """Take the last checkpoint's state; False where there is none."""
-        from flexapod.dynamics.integrator import Clock, RunStats
+        from flexapod.dynamics.integrator import RunStats
         from flexapod.dynamics.model import State
+        from flexapod.dynamics.workspace import Clock
 
         kept = self.folder.read_checkpoint()
         if kept is None:

@@ -116,7 +116,7 @@ class _Body:
     ends
         Of every coil there may be, by its name.
     faces, areas, curve
-        What touches the ground, as `contacts.GroundContact` takes it.
+        What touches the ground, as `ground_contact.GroundContact` takes it.
     modulus
         Young's modulus for contact [Pa].
     """
@@ -296,7 +296,7 @@ def _make_coils(loaded: LoadedCase, body: _Body) -> tuple[Lines, Coils]:
 
 def _make_contacts(loaded: LoadedCase, body: _Body) -> tuple[Any, list[DynamicContact]]:
     """The ground, or None, and the contact with it."""
-    from flexapod.dynamics.contacts import GroundContact
+    from flexapod.dynamics.ground_contact import GroundContact
 
     first: Any = None
     contacts: list[DynamicContact] = []
@@ -323,9 +323,10 @@ def _make_contacts(loaded: LoadedCase, body: _Body) -> tuple[Any, list[DynamicCo
 
 def ring_motion(loaded: LoadedCase) -> Motion:
     """The model of a ring robot and its first state: round, at rest, touching the ground."""
-    from flexapod.dynamics.integrator import Workspace, scale_mass
     from flexapod.dynamics.lines import Lines, LineSystem, Points
     from flexapod.dynamics.model import Damping, Model
+    from flexapod.dynamics.stable import scale_mass
+    from flexapod.dynamics.workspace import Workspace
     from flexapod.fem.body import SolidBody
     from flexapod.fem.loads import Displacement
     from flexapod.materials.law import SolidMaterial
@@ -400,9 +401,10 @@ def _hold(model: Model, state: State, duration: float, slope: float) -> None:
     The ground's normal part of gravity acts, so that nothing rolls; then time begins anew.
     """
     from flexapod.dynamics.actuation import Actuation
-    from flexapod.dynamics.integrator import Options, Workspace, march
+    from flexapod.dynamics.integrator import Options, march
     from flexapod.dynamics.lines import LineSystem
     from flexapod.dynamics.model import Damping
+    from flexapod.dynamics.workspace import Workspace
 
     system = model.lines
     assert system is not None and system.coils is not None

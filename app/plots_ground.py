@@ -117,7 +117,8 @@ def draw_ground_map(axes: Any, grounds: Sequence[Ground]) -> None:
     if not grounds:
         return
     x, y = axes.get_xlim(), axes.get_ylim()
-    across, up = 0.001 * np.linspace(*x, 300), 0.001 * np.linspace(*y, 200)
+    across = 0.001 * np.linspace(x[0], x[1], 300)
+    up = 0.001 * np.linspace(y[0], y[1], 200)
     z = np.max([ground_heights(g, across[None, :], up[:, None]) for g in grounds], axis=0)
     rise = float(np.ptp(z))
     axes.set_facecolor(PALE)

@@ -141,8 +141,9 @@ class _Trials:
         self, value: float, tell: Callable[[float, dict[str, float]], None]
     ) -> dict[str, float]:
         """Row of the trial at `value`; `tell` hears the time's share and the row so far."""
-        from flexapod.dynamics.integrator import Options, Workspace, march
+        from flexapod.dynamics.integrator import Options, march
         from flexapod.dynamics.model import State
+        from flexapod.dynamics.workspace import Workspace
 
         case = with_value(self.loaded, self.spec.key, self.text(value)).case
         assert case.dynamics is not None

@@ -16,8 +16,10 @@ import numba
 import numpy as np
 
 from flexapod.dynamics.commands import Chamber, PressureTable, Table
-from flexapod.dynamics.integrator import Workspace, highest_frequency, stable_step, step
+from flexapod.dynamics.integrator import step
 from flexapod.dynamics.model import Model
+from flexapod.dynamics.stable import highest_frequency, stable_step
+from flexapod.dynamics.workspace import Workspace
 from flexapod.fem.body import SolidBody
 from flexapod.geometry.tagged import TaggedMesh
 from flexapod.materials.law import SolidMaterial

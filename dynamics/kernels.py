@@ -408,7 +408,7 @@ def combined_rates(elements: Any, cells: Any, springs: Any, dashpots: Any, out: 
 
     `springs` (node_count,) [1/s2] and `dashpots` (node_count,) [1/s]; `out` (cell_count,) receives
     the square of the frequency of the undamped system that has the same largest step, see
-    `integrator.highest_frequency`.
+    `stable.highest_frequency`.
     """
     for e in range(cells.shape[0]):
         spring = 0.0

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexapod.dynamics import line_kernels
-from flexapod.dynamics.contacts import TOTALS, GroundContact
+from flexapod.dynamics.contacts import TOTALS
+from flexapod.dynamics.ground_contact import GroundContact
 from flexapod.dynamics.line_kernels import GroundArrays, NodeArrays
 from flexapod.dynamics.lines import pack_history
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.integrator import Workspace
     from flexapod.dynamics.model import Model, State
+    from flexapod.dynamics.workspace import Workspace
 
 
 class LineMarch:

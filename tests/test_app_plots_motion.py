@@ -164,7 +164,7 @@ def test_height_of_a_field_is_bilinear_with_a_level_rim() -> None:
 
 @pytest.mark.parametrize("ground", [slope(0.2, (0.0, 0.0, 0.1)), Step(0.3, 0.02), _field()])
 def test_the_ground_drawn_is_the_ground_touched(ground: Ground) -> None:
-    from flexapod.dynamics.contacts import gaps
+    from flexapod.dynamics.ground_contact import gaps
 
     x, y = np.linspace(-0.2, 0.5, 57), np.linspace(-0.1, 0.1, 57)
     z = plots_ground.ground_heights(ground, x, y)
@@ -244,6 +244,23 @@ def test_up_is_up(tmp_path: Path) -> None:
     first, last = (_coloured(image) for image in _gif(tmp_path / "up.gif")[0])
     assert last[1] < first[1] - 50.0  # rows count from the top
     assert abs(last[0] - first[0]) < 1.0
+
+
+def test_from_above_what_rises_stays_in_its_row(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "r", way=(0.2, 0.1), plot={"view": "top"}, frames=2)
+    results = plots.read_results(folder)
+    frames = _frames(results)
+    # Across is x and up is y: the box, with its mirrored half, stays within half a side of y = 0.
+    # The file's displacements are in single precision: 0.2 m to 1e-8.
+    np.testing.assert_allclose(frames.boxes[:, 0, 0], [-0.02, 0.18], rtol=0.0, atol=2e-8)
+    np.testing.assert_allclose(frames.boxes[:, :, 2], [[-0.02, 0.02]] * 2, rtol=0.0, atol=2e-8)
+    step = Step(0.05, 0.01)
+    plots_frames.plot_animation(results, [step], frames, tmp_path / "above.gif")
+    first, last = (_coloured(image) for image in _gif(tmp_path / "above.gif")[0])
+    assert last[0] > first[0] + 50.0
+    assert abs(last[1] - first[1]) < 1.0
+    plots_frames.plot_motion_snapshots(results, [step], frames, tmp_path / "above.png")
+    assert (tmp_path / "above.png").is_file()
 
 
 def test_the_mirrored_half_is_drawn(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from flexapod.app.pool import with_values
 from flexapod.app.run import RunResult, run_case
 from flexapod.app.search import Range
 from flexapod.core.errors import InputError, Status
-from flexapod.dynamics.integrator import highest_frequency
+from flexapod.dynamics.stable import highest_frequency
 from flexapod.geometry.hexapod import CurlBuilder
 from flexapod.geometry.legs import CLeg
 

@@ -13,19 +13,17 @@ from statics_helpers import grid, solid
 from flexapod.contact.ground import Plane, Step
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.core.errors import SolverError, Status
-from flexapod.dynamics import integrator, kernels
+from flexapod.dynamics import kernels, workspace
 from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
-from flexapod.dynamics.contacts import GroundContact, SurfaceContact, rate_margin
-from flexapod.dynamics.integrator import (
-    Options,
-    RunStats,
-    Workspace,
-    highest_frequency,
-    march,
-    step,
-)
+from flexapod.dynamics.contacts import rate_margin
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Options, RunStats, march, step
 from flexapod.dynamics.model import Bond, Damping, Model
 from flexapod.dynamics.rigid import RigidBodies
+from flexapod.dynamics.stable import highest_frequency
+from flexapod.dynamics.surface_contact import SurfaceContact
+from flexapod.dynamics.workspace import Workspace
+from flexapod.fem import kernels as fem_kernels
 from flexapod.materials.neo_hooke import NeoHooke
 
 LAW = ContactLaw(97e3 * 1000**0.5)
@@ -91,7 +89,7 @@ def test_a_step_allocates_nothing_that_grows_with_the_mesh() -> None:
 def test_the_parts_of_a_runs_time_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     # A second passes at every look at the clock, and a hundred while a row is written.
     seconds = itertools.count()
-    monkeypatch.setattr(integrator, "perf_counter", lambda: float(next(seconds)))
+    monkeypatch.setattr(workspace, "perf_counter", lambda: float(next(seconds)))
     model = _model(3, low=-1e-4, busy=True)
     state, work, stats = model.start(), Workspace(model), RunStats()
 
@@ -198,3 +196,22 @@ def test_contact_allows_for_what_comes_nearer() -> None:
     away = leaving.start(mesh.nodes + [0.0, 0.0, 1.0])
     assert leaving.near_travel(v, away, 1e-5, 1.0) == 0.0
     assert [rate_margin(w) for w in (0.0, 1e-5, 1.0)] == [1.5e-5, 2e-5, 5e-5]
+
+
+def test_bound_of_an_element_is_the_eighth_root_of_a_trace() -> None:
+    rng = np.random.default_rng(3)
+    full = rng.normal(size=(5, 24, 24))
+    full += full.transpose(0, 2, 1)
+    mass = rng.uniform(0.5, 2.0, (5, 8))
+    tangents = np.empty((5, fem_kernels.PAIR_COUNT, 3, 3))
+    for a, b in itertools.combinations_with_replacement(range(8), 2):
+        block = full[:, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3]
+        tangents[:, fem_kernels.PAIR_OF[a, b]] = block
+    out = np.empty(5)
+    cells = np.zeros((5, 8), dtype=np.int64)
+    kernels.element_rates(tangents, fem_kernels.PAIR_OF, cells, mass, 1.5, out)
+    root = np.repeat(np.sqrt(mass), 3, axis=1)
+    scaled = full / root[:, :, None] / root[:, None, :]
+    eighth = np.linalg.matrix_power(scaled, 8)
+    expected = 1.5 * np.trace(eighth, axis1=1, axis2=2) ** 0.125
+    np.testing.assert_allclose(out, expected, rtol=1e-12)  # round-off of a thousand products

@@ -12,11 +12,14 @@ from statics_helpers import grid, solid
 from flexapod.contact import kernels
 from flexapod.contact.ground import slope
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.dynamics.contacts import FORCE, GroundContact, SurfaceContact
-from flexapod.dynamics.integrator import Options, Workspace, energies, march
+from flexapod.dynamics.contacts import FORCE
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Options, energies, march
 from flexapod.dynamics.kernels import momentum
 from flexapod.dynamics.model import Model, State
 from flexapod.dynamics.rigid import RigidBodies, box, cylinder
+from flexapod.dynamics.surface_contact import SurfaceContact
+from flexapod.dynamics.workspace import Workspace
 from flexapod.geometry.tagged import TaggedMesh
 from flexapod.materials.neo_hooke import NeoHooke
 

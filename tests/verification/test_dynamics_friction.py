@@ -9,10 +9,12 @@ import pytest
 from statics_helpers import grid
 
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.dynamics.contacts import BY_FRICTION, FRICTION, SLID, SurfaceContact
-from flexapod.dynamics.integrator import Options, Workspace, energies, march
+from flexapod.dynamics.contacts import BY_FRICTION, FRICTION, SLID
+from flexapod.dynamics.integrator import Options, energies, march
 from flexapod.dynamics.model import Model, State
 from flexapod.dynamics.rigid import RigidBodies, box
+from flexapod.dynamics.surface_contact import SurfaceContact
+from flexapod.dynamics.workspace import Workspace
 
 G = 9.81
 LAW = ContactLaw(194e3 * math.sqrt(1000.0), stick_stiffness=1e9)

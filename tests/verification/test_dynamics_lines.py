@@ -13,10 +13,11 @@ from flexapod.contact.law import ContactLaw, FrictionLaw, hertz_stiffness
 from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.dynamics import integrator, line_kernels
 from flexapod.dynamics.actuation import Actuation
-from flexapod.dynamics.contacts import GroundContact
-from flexapod.dynamics.integrator import Options, Workspace, energies, march
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Options, energies, march
 from flexapod.dynamics.lines import Coils, Hinges, Lines, LineSystem, Points, pack_history
 from flexapod.dynamics.model import Damping, Model, State
+from flexapod.dynamics.workspace import Workspace
 from flexapod.geometry.ring import RingSizes, lumped_ring
 
 LETTERS = tuple("ABCDEFGH")

@@ -12,9 +12,11 @@ from statics_helpers import grid, merged, solid
 
 from flexapod.contact.ground import Plane
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.dynamics.contacts import FORCE, GroundContact
-from flexapod.dynamics.integrator import Options, Workspace, march
+from flexapod.dynamics.contacts import FORCE
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Options, march
 from flexapod.dynamics.model import Damping, Model, State
+from flexapod.dynamics.workspace import Workspace
 from flexapod.fem.loads import Displacement
 from flexapod.geometry.tagged import TaggedMesh
 from flexapod.materials.neo_hooke import NeoHooke

@@ -17,16 +17,13 @@ from statics_helpers import grid, solid
 
 from flexapod.contact.ground import HeightField
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.dynamics.contacts import COUNT, DEPTH, GroundContact, History, SurfaceContact
-from flexapod.dynamics.integrator import (
-    Options,
-    RunStats,
-    Workspace,
-    energies,
-    march,
-)
+from flexapod.dynamics.contacts import COUNT, DEPTH, History
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Options, RunStats, energies, march
 from flexapod.dynamics.kernels import momentum
 from flexapod.dynamics.model import Damping, Model, State
+from flexapod.dynamics.surface_contact import SurfaceContact
+from flexapod.dynamics.workspace import Workspace
 from flexapod.fem.body import SolidBody
 from flexapod.fem.loads import Displacement
 from flexapod.geometry.tagged import boundary_facets, orient_outward

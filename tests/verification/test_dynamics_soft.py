@@ -14,19 +14,10 @@ from statics_helpers import grid, hold, solid
 
 from flexapod.core.errors import InputError, SolverError, Status
 from flexapod.dynamics.commands import ATMOSPHERE, Chamber, PressureTable, Pump, Table
-from flexapod.dynamics.integrator import (
-    Options,
-    Workspace,
-    energies,
-    evaluate,
-    highest_frequency,
-    kick,
-    march,
-    scale_mass,
-    stable_step,
-    step,
-)
+from flexapod.dynamics.integrator import Options, energies, evaluate, kick, march, step
 from flexapod.dynamics.model import Bond, Damping, Model, State
+from flexapod.dynamics.stable import highest_frequency, scale_mass, stable_step
+from flexapod.dynamics.workspace import Workspace
 from flexapod.fem.loads import Displacement
 from flexapod.fem.static import StaticProblem
 from flexapod.materials.neo_hooke import NeoHooke

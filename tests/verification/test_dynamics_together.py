@@ -13,10 +13,13 @@ from statics_helpers import grid
 from flexapod.contact.ground import slope
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.dynamics.commands import Chamber, PressureTable, Pump, Table
-from flexapod.dynamics.contacts import COUNT, GroundContact, SurfaceContact
-from flexapod.dynamics.integrator import Energies, Options, Workspace, energies, march
+from flexapod.dynamics.contacts import COUNT
+from flexapod.dynamics.ground_contact import GroundContact
+from flexapod.dynamics.integrator import Energies, Options, energies, march
 from flexapod.dynamics.model import Bond, Damping, Model, State
 from flexapod.dynamics.rigid import RigidBodies, box
+from flexapod.dynamics.surface_contact import SurfaceContact
+from flexapod.dynamics.workspace import Workspace
 from flexapod.fem.body import SolidBody
 from flexapod.geometry.tagged import TaggedMesh, boundary_facets, orient_outward
 from flexapod.materials.law import SolidMaterial

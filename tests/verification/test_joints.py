@@ -10,10 +10,11 @@ import pytest
 
 from flexapod.core.errors import InputError
 from flexapod.dynamics import joint_kernels as jk
-from flexapod.dynamics.integrator import Options, Workspace, energies, march, step
+from flexapod.dynamics.integrator import Options, energies, march, step
 from flexapod.dynamics.joints import Joint, JointSystem, Servo
 from flexapod.dynamics.model import Model, State
 from flexapod.dynamics.rigid import RigidBodies, box
+from flexapod.dynamics.workspace import Workspace
 
 
 class Still:

@@ -1,0 +1,309 @@
+"""Faces against faces over time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexapod.contact import kernels, track_kernels
+from flexapod.contact.law import ContactLaw, FrictionLaw
+from flexapod.dynamics.contacts import DEPTH, FORCE, FRICTION, TOTALS, History
+from flexapod.fem.contacts import surface_passes
+
+# Motion of the surfaces relative to each other, as a share of the skin, after which faces are
+# searched anew, and near faces looked at. Two faces may each move so far: twice the first and
+# twice the second is what is left of the skin.
+SEARCH_SHARE = 0.4
+LOOK_SHARE = 0.05
+
+
+class SurfaceContact:
+    """Faces against faces: of one body with itself, of two bodies, or of a body and rigid parts.
+
+    Three searches, each cheaper and more frequent than the one before: candidates by a tree once
+    the surfaces have moved by 0.4 of `skin` relative to each other, partners of near points
+    without one after a twentieth of it, and in every step the points that touch or nearly do. Rigid
+    motion of the whole does not count: a rolling wheel is searched no more often than one at rest.
+
+    Parameters
+    ----------
+    name
+        For reports.
+    nodes
+        Reference positions [m], shape (node_count, 3).
+    surface, partner
+        Corner quadruples, outward; the same array twice for self-contact.
+    law
+        Normal contact law, and `stick_stiffness` of what sticks.
+    friction
+        Of the faces on each other; None for none (the paper sets it to zero between chambers).
+        Friction acts at the point and at its projection, which lie the penetration apart: it keeps
+        momentum, and angular momentum but for that arm.
+    depth, margin, joint_gap
+        See `flexapod.fem.contacts.FaceContact`.
+    skin
+        Distance [m] up to which faces are watched.
+    check_every
+        Steps after which motion is measured, at the latest; sooner where the surfaces deform fast,
+        not at all while nothing can have moved far enough.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: np.ndarray,
+        surface: np.ndarray,
+        partner: np.ndarray,
+        law: ContactLaw,
+        depth: float = 1e-3,
+        margin: float = 0.3,
+        joint_gap: float = 5e-4,
+        skin: float = 3e-3,
+        check_every: int = 10,
+        friction: FrictionLaw | None = None,
+    ) -> None:
+        self.name = name
+        self.law = law
+        self.friction = friction or FrictionLaw.constant(0.0)
+        self.depth = depth
+        self.margin = margin
+        self.skin = skin
+        self.check_every = check_every
+        self.passes = surface_passes(nodes, surface, partner, joint_gap)
+        self.shear = [np.zeros_like(p.pressure) for p in self.passes]
+        self.watched = np.unique(np.concatenate([p.slaves.ravel() for p in self.passes]))
+        self.totals = np.zeros(TOTALS)
+        self._partial = np.zeros(TOTALS)
+
+    def start(self, x: np.ndarray) -> History:
+        """See `DynamicContact`."""
+        history: History = {
+            "x": np.array(x[self.watched]),
+            "x_near": np.array(x[self.watched]),
+            "age": np.zeros(1, dtype=np.int64),
+            "next": np.ones(1, dtype=np.int64),
+            "way": np.zeros(1),
+            "since": np.zeros(1),
+            "depth": np.zeros(1),
+            "spent": np.zeros(3),
+        }
+        for k, p in enumerate(self.passes):
+            count = p.slaves.shape[0]
+            history[f"candidates{k}"] = np.full((count, 1), -1, dtype=np.int32)
+            history[f"near{k}"] = np.zeros(count, dtype=np.int64)
+            history[f"count{k}"] = np.zeros(1, dtype=np.int64)
+            for key in ("partner", "local", "gap", "fade"):
+                history[f"{key}{k}"] = np.array(getattr(p, key))
+            history[f"anchor_face{k}"] = np.full(p.gap.shape, -1, dtype=np.int32)
+            history[f"anchor_local{k}"] = np.zeros_like(p.local)
+        self._search(x, history, first=True)
+        return history
+
+    def _search(self, x: np.ndarray, history: History, first: bool = False) -> None:
+        """Candidates and near faces anew; points keep their partners, but for the first time."""
+        for k, p in enumerate(self.passes):
+            near = np.zeros(p.slaves.shape[0], dtype=np.int64)
+            if first:
+                p.search(x, self.depth, self.margin)
+                for key in ("partner", "local", "gap", "fade"):
+                    history[f"{key}{k}"][:] = getattr(p, key)
+            p.find_candidates(x, self.depth + self.skin)
+            history[f"candidates{k}"] = p.candidates
+            # A point may slide in over a rim by the skin: half a face, about, and more is rare.
+            track_kernels.mark_near(
+                x,
+                p.slaves,
+                kernels.POINTS,
+                p.masters,
+                p.candidates,
+                self.depth,
+                self.skin,
+                self.margin + 0.5,
+                near,
+            )
+            near[(history[f"gap{k}"] < 0.0).any(axis=1)] = 1
+            listed = np.flatnonzero(near)
+            history[f"near{k}"][: listed.size] = listed
+            history[f"count{k}"][0] = listed.size
+            far = near == 0
+            history[f"partner{k}"][far] = -1
+            history[f"gap{k}"][far] = np.inf
+            history[f"fade{k}"][far] = 0.0
+            history[f"anchor_face{k}"][far] = -1
+            p.pressure[far] = 0.0
+            self.shear[k][far] = 0.0
+        np.take(x, self.watched, axis=0, out=history["x"], mode="clip")
+        history["x_near"][:] = history["x"]
+        history["since"][0] = 0.0
+
+    def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
+        """See `DynamicContact`."""
+        anew, searched = self._look(x, history, travel)
+        for k, p in enumerate(self.passes):
+            track_kernels.track_partners(
+                x,
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.masters,
+                history[f"candidates{k}"],
+                self.depth,
+                self.margin,
+                anew,
+                2.0 * LOOK_SHARE * self.skin,
+                LOOK_SHARE * self.skin,
+                history[f"partner{k}"],
+                history[f"local{k}"],
+                history[f"gap{k}"],
+                history[f"fade{k}"],
+            )
+        return searched
+
+    def _look(self, x: np.ndarray, history: History, travel: float) -> tuple[bool, bool]:
+        """Whether near points without a partner are to look for one now, and a search was due.
+
+        Relative motion is measured when any node may have gone far enough at all, and when half of
+        what is left would be used up at the pace so far.
+        """
+        limit = LOOK_SHARE * self.skin
+        history["age"][0] += 1
+        history["way"][0] += travel
+        age = int(history["age"][0])
+        if history["way"][0] <= limit or age < history["next"][0]:
+            return False, False
+        moved = _relative_motion(history["x_near"], x, self.watched)
+        left = limit - moved
+        if left > 0.2 * limit:
+            wait = int(0.5 * left * age / max(moved, 1e-300)) if moved > 0.0 else self.check_every
+            history["next"][0] = age + min(max(wait, 1), self.check_every)
+            return False, False
+        # No point has moved farther than the sum of its ways.
+        history["since"][0] += moved
+        if history["since"][0] > SEARCH_SHARE * self.skin:
+            history["since"][0] = _relative_motion(history["x"], x, self.watched)
+        searched = bool(history["since"][0] > SEARCH_SHARE * self.skin)
+        if searched:
+            self._search(x, history)
+        else:
+            np.take(x, self.watched, axis=0, out=history["x_near"], mode="clip")
+        history["way"][0] = 0.0
+        history["age"][0] = 0
+        history["next"][0] = min(max(age // 2, 1), self.check_every)
+        return True, searched
+
+    def add_forces(
+        self,
+        x: np.ndarray,
+        v: np.ndarray,
+        history: History,
+        elastic: np.ndarray,
+        dissipative: np.ndarray,
+    ) -> None:
+        """See `DynamicContact`; `totals` holds the force on the first surface."""
+        law, friction = self.law, self.friction
+        self.totals[:] = 0.0
+        for k, p in enumerate(self.passes):
+            self._partial[:] = 0.0
+            track_kernels.pair_forces(
+                x,
+                v,
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.areas,
+                p.masters,
+                history[f"partner{k}"],
+                history[f"local{k}"],
+                history[f"gap{k}"],
+                history[f"fade{k}"],
+                law.traction_coefficient,
+                law.stiffness_exponent,
+                law.damping_coefficient,
+                law.damping_exponent,
+                law.indentation_exponent,
+                friction.static,
+                friction.dynamic,
+                friction.static_speed,
+                friction.dynamic_speed,
+                law.stick_stiffness,
+                0.5,
+                history[f"anchor_face{k}"],
+                history[f"anchor_local{k}"],
+                elastic,
+                dissipative,
+                p.pressure,
+                self.shear[k],
+                self._partial,
+            )
+            deepest = max(self.totals[DEPTH], self._partial[DEPTH])
+            if k == 1:  # on the second surface
+                self._partial[FORCE] *= -1.0
+                self._partial[FRICTION] *= -1.0
+            self.totals += self._partial
+            self.totals[DEPTH] = deepest
+        history["depth"][0] = self.totals[DEPTH]
+
+    def near_travel(self, v: np.ndarray, history: History, dt: float, travel: float) -> float:
+        """See `DynamicContact`; both surfaces move, at most so far each.
+
+        So the factor two of `rate_margin` is used up, and a search or a greater depth must help.
+        """
+        return travel
+
+    def add_rates(
+        self,
+        history: History,
+        inverse_mass: np.ndarray,
+        margin: float,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+    ) -> None:
+        """See `DynamicContact`."""
+        law = self.law
+        for k, p in enumerate(self.passes):
+            track_kernels.contact_rates(
+                p.slaves,
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                kernels.POINTS,
+                p.areas,
+                history[f"gap{k}"],
+                margin,
+                law.traction_coefficient,
+                law.stiffness_exponent,
+                law.damping_coefficient,
+                law.indentation_exponent,
+                law.stick_stiffness if self.friction.static > 0.0 else 0.0,
+                2.0,
+                inverse_mass,
+                springs,
+                dashpots,
+            )
+
+    def pressing(self) -> float:
+        """See `DynamicContact`; both surfaces feel it, it is counted once."""
+        return 0.5 * sum(float((p.pressure * p.areas).sum()) for p in self.passes)
+
+    def rubbing(self) -> float:
+        """See `DynamicContact`; both surfaces feel it, it is counted once."""
+        pairs = zip(self.passes, self.shear, strict=True)
+        return 0.5 * sum(float((shear * p.areas).sum()) for p, shear in pairs)
+
+    def nodal_pressure(self, node_count: int) -> np.ndarray:
+        """See `DynamicContact`."""
+        total, area = np.zeros(node_count), np.zeros(node_count)
+        for p in self.passes:
+            kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
+        return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+
+def _relative_motion(before: np.ndarray, x: np.ndarray, nodes: np.ndarray) -> float:
+    """Largest way of a node [m] beyond the rigid motion that fits all of them best."""
+    sums = np.empty((5, 3))
+    track_kernels.rigid_fit_sums(before, x, nodes, sums)
+    left, _, right = np.linalg.svd(sums[2:])
+    if np.linalg.det(left @ right) < 0.0:
+        left[:, -1] *= -1.0
+    turn = left @ right
+    return track_kernels.relative_motion(before, x, nodes, turn, sums[1] - turn @ sums[0])
