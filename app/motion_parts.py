@@ -68,6 +68,7 @@ def make_contacts(
                 partner,
                 law,
                 depth=spec.depth,  # type: ignore[union-attr]
+                skin=spec.skin,  # type: ignore[union-attr]
                 friction=make_friction(spec),  # type: ignore[arg-type]
             )
         )

@@ -259,6 +259,11 @@ class _FaceContactBase(MovingContact, ContactBase):
         default=default_text("1 mm"),
         description="Deepest penetration still seen; less than half the thinnest wall.",
     )
+    skin: PositiveLength = Field(
+        default=default_text("3 mm"),
+        description="Distance up to which faces are watched, in motion: a thinner one is cheaper "
+        "between searches, which come sooner.",
+    )
 
 
 class ContactSelfSpec(_FaceContactBase):
