@@ -265,14 +265,17 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
 
 
 def put_value(table: dict[str, Any] | list[Any], key: str, value: Any, where: str) -> None:
-    """Put a value at ``key.path`` of a table; list items go by index, by name, or all by "*"."""
+    """Put a value at ``key.path`` of a table.
+
+    List items go by index or by name, all of a type by it, or all by "*".
+    """
     parts = [part.strip() for part in key.strip().split(".")]
     target: Any = table
     for depth, part in enumerate(parts):
         last = depth == len(parts) - 1
-        if isinstance(target, list) and part == "*":
+        if isinstance(target, list) and (chosen := _several(target, part)):
             rest = ".".join(parts[depth + 1 :])
-            for k in range(len(target)):
+            for k in chosen:
                 put_value(target, f"{k}.{rest}" if rest else str(k), value, where)
             return
         if isinstance(target, list):
@@ -290,8 +293,21 @@ def put_value(table: dict[str, Any] | list[Any], key: str, value: Any, where: st
             raise InputError(f"{'.'.join(parts[:depth])} is a value, not a table", where)
 
 
+def _labels(items: list[Any]) -> list[Any]:
+    return [item.get("name", item.get("group")) for item in items if isinstance(item, dict)]
+
+
+def _several(items: list[Any], part: str) -> list[int]:
+    """Indices of the items that ``*`` or a type stands for; none where `part` names one."""
+    if part == "*":
+        return list(range(len(items)))
+    if part in _labels(items):
+        return []
+    return [k for k, i in enumerate(items) if isinstance(i, dict) and i.get("type") == part]
+
+
 def _index(items: list[Any], part: str, path: str, where: str) -> int:
-    labels = [item.get("name", item.get("group")) for item in items if isinstance(item, dict)]
+    labels = _labels(items)
     if part in labels:
         return labels.index(part)
     if part.lstrip("-").isdigit() and -len(items) <= int(part) < len(items):

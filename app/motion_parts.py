@@ -31,7 +31,7 @@ def make_contacts(
     loaded: LoadedCase, mesh: TaggedMesh, body: SolidBody, rigid: RigidParts
 ) -> tuple[Any, list[DynamicContact]]:
     from flexapod.dynamics.ground_contact import GroundContact
-    from flexapod.dynamics.surface_contact import SurfaceContact
+    from flexapod.dynamics.surface_contact import SKIN, SurfaceContact
 
     first: Any = None
     contacts: list[DynamicContact] = []
@@ -68,7 +68,7 @@ def make_contacts(
                 partner,
                 law,
                 depth=spec.depth,  # type: ignore[union-attr]
-                skin=spec.skin,  # type: ignore[union-attr]
+                skin=spec.skin or SKIN,  # type: ignore[union-attr]
                 friction=make_friction(spec),  # type: ignore[arg-type]
             )
         )

@@ -278,7 +278,8 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
         for key, value in changes.items()
         if key not in ("mesh", "material", "mass") and len(value) < len(getattr(case, key))
     ]
-    if any(c.type != "ground" for c in case.contact):
+    # A box has no chambers that could meet, which needs no word.
+    if any(c.type == "pair" for c in case.contact):
         left_out.append("contact between faces")
     if case.start is not None:
         changes["start"] = case.start.model_copy(update={"case": None, "unfold": ()})

@@ -177,7 +177,7 @@ class Stage:
 
 
 def scene_bounds(boxes: np.ndarray, grounds: Sequence[Ground]) -> tuple[np.ndarray, np.ndarray]:
-    """Window in x and z [m] for bodies within `boxes` and the ground beneath them."""
+    """Window across and up the screen [m] for bodies within `boxes` and the ground beneath them."""
     low, high = boxes[:, 0, ::2].min(axis=0), boxes[:, 1, ::2].max(axis=0)
     size = float(np.median(boxes[:, 1, ::2] - boxes[:, 0, ::2])) + 1e-9
     low, high = low - 0.07 * size, high + 0.04 * size

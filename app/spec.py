@@ -259,11 +259,6 @@ class _FaceContactBase(MovingContact, ContactBase):
         default=default_text("1 mm"),
         description="Deepest penetration still seen; less than half the thinnest wall.",
     )
-    skin: PositiveLength = Field(
-        default=default_text("3 mm"),
-        description="Distance up to which faces are watched, in motion: a thinner one is cheaper "
-        "between searches, which come sooner.",
-    )
 
 
 class ContactSelfSpec(_FaceContactBase):
@@ -450,7 +445,11 @@ class PlotSpec(Table):
         default=(),
         description="Symmetry planes through the origin, by their normal, drawn mirrored.",
     )
-    view: Literal["side", "front", "top", "corner"] = "corner"
+    view: Literal["side", "front", "top", "corner"] = Field(
+        default="corner",
+        description="Of the shapes. Strip and film of a motion are seen from above with top "
+        "and else from the side.",
+    )
     snapshots: tuple[float, ...] | None = Field(
         default=None,
         description="Values of x shown in the strip of shapes (default: four, evenly).",
@@ -772,7 +771,7 @@ class Case(Table):
                 if one != two:
                     raise ValueError(
                         f"contact: the ground under a robot is one, and {key} differs: {one} and "
-                        f"{two}; --set contact.*.{key}=... sets all"
+                        f"{two}; --set contact.ground.{key}=... sets all"
                     )
         if self.rigid_bodied and self.start is not None and self.start.case is not None:
             raise ValueError(

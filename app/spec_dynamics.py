@@ -210,8 +210,8 @@ class SearchSpec(Table):
         "case is run as it is, and then the highest value is sought at which it still climbs.",
     )
     key: str = Field(
-        description="As --set writes it, for example contact.0.slope, or contact.*.slope for all: "
-        "of contact, gravity or dynamics, since the start shape is computed once."
+        description="As --set writes it, for example contact.0.slope, or contact.ground.slope "
+        "for all grounds: of contact, gravity or dynamics, since the start shape is computed once."
     )
 
     @field_validator("key")

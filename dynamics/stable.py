@@ -1,4 +1,4 @@
-"""The stable step: bounds of the highest frequency from elements, contacts, bonds and joints."""
+"""The stable step: bounds of the highest frequency of elements, lines, contacts and joints."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from flexapod.fem import kernels as fem_kernels
 def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = True) -> float:
     """Upper bound of the highest angular frequency at the current state [rad/s].
 
-    Per element from its current tangent, and from the springs and dashpots of contacts and bonds
-    its nodes are in. A step of central differences whose damping forces are half a step old is
-    stable where ``dt**2 k / 4 + dt c / 2 <= 1`` (k of the squared frequencies, c of the decay
+    Per element from its current tangent, and from the springs and dashpots of contacts, bonds,
+    lines and joints its nodes are in. A step of central differences whose damping forces are half
+    a step old is stable where ``dt**2 k / 4 + dt c / 2 <= 1`` (k of the squared frequencies, c of the decay
     rates): the frequency returned is the one of an undamped system with the same largest step.
 
-    Without `anew` the elements' part is that of the last time; only contacts and bonds are looked
+    Without `anew` the elements' part is that of the last time; only the rest is looked
     at, which is cheap.
     """
     work.springs[:] = 0.0

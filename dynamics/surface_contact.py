@@ -9,6 +9,8 @@ from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.dynamics.contacts import DEPTH, FORCE, FRICTION, TOTALS, History
 from flexapod.fem.contacts import surface_passes
 
+SKIN = 3e-3  # distance up to which faces are watched [m], unless given
+
 # Motion of the surfaces relative to each other, as a share of the skin, after which faces are
 # searched anew, and near faces looked at. Two faces may each move so far: twice the first and
 # twice the second is what is left of the skin.
@@ -57,7 +59,7 @@ class SurfaceContact:
         depth: float = 1e-3,
         margin: float = 0.3,
         joint_gap: float = 5e-4,
-        skin: float = 3e-3,
+        skin: float = SKIN,
         check_every: int = 10,
         friction: FrictionLaw | None = None,
     ) -> None:

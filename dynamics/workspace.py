@@ -100,7 +100,7 @@ class Workspace:
         self.dashpots = np.zeros(shape[0])
         # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
         self.inverse_mass = model.inverse_mass()
-        # Neither stiffness nor inertia of a joint changes on its way.
+        # Neither the stiffness of a joint nor the inertia of what it holds changes on the way.
         self.joint_rates = None
         if model.joints is not None:
             self.joint_rates = model.joints.rates(len(model.rigid.names))

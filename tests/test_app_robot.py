@@ -152,7 +152,7 @@ def test_a_rigid_body_has_no_start_shape_and_says_what_it_leaves_out() -> None:
         load_case("roll_active", RIGID)
     motion = assemble_motion(load_case("obstacle_70mm", RIGID), None, print, settle=False)
     (notice,) = motion.notices
-    assert notice == "a rigid body has no use for pressure, contact between faces: left out"
+    assert notice == "a rigid body has no use for pressure: left out"
     assert [c.name for c in motion.model.contacts] == ["ground_0", "ground_1"]
 
 
@@ -163,6 +163,8 @@ def test_air_and_bonds_of_a_robot() -> None:
         load_case("obstacle_70mm", ['pressure.head.pump={flow="2 l/min"}'])
     with pytest.raises(InputError, match=r"only a case with .* has .*between of pressure"):
         load_case("free_curl", ['pressure.inflation.between=["0 m", "1 m"]'])
+    with pytest.raises(InputError, match=r"only a case with .* has skin of a contact between"):
+        load_case("free_curl", ['contact.0.skin="1 mm"'])
     with pytest.raises(InputError, match=r"only a case with .* has .*gait"):
         load_case("free_curl", ['gait={type="hold"}'])
 
@@ -172,8 +174,8 @@ def test_a_search_of_a_climb_may_go_to_negative_slopes() -> None:
         Range.of(load_case("climb", ['search.low="0 deg"']))
     found = Range.of(load_case("climb"))
     assert (found.low, found.high) == (-30.0, -46.0)
-    both = load_case("climb", ['contact.*.slope="-10 deg"']).case.contact
-    assert [c.slope for c in both] == [math.radians(-10.0)] * 2
+    both = load_case("climb", ['contact.ground.slope="-10 deg"']).case.contact
+    assert [c.slope for c in both if c.type == "ground"] == [math.radians(-10.0)] * 2
 
 
 # --------------------------------------------------------------------------- assembly
@@ -314,7 +316,7 @@ def test_flight_is_ballistic(tmp_path: Path) -> None:
     loaded = load_case(
         "pronk_moon",
         [*RIGID, "start.rest=false", 'dynamics.duration="0.15 s"', 'gait.start="0 s"',
-         'contact.*.level="-1 m"', "dynamics.frames=2"],
+         'contact.ground.level="-1 m"', "dynamics.frames=2"],
     )  # fmt: skip
     result = run_case(loaded, tmp_path / "out")
     assert result.status is Status.DONE

@@ -62,6 +62,7 @@ def test_everything_a_moving_case_names_exists(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(ROBOTS))
 def test_everything_a_robots_case_names_exists(name: str) -> None:
     from flexapod.app.motion_model import assemble_motion
+    from flexapod.dynamics.surface_contact import SurfaceContact
 
     loaded = load_case(name)
     motion = assemble_motion(loaded, None, lambda text: None, settle=False)
@@ -70,6 +71,11 @@ def test_everything_a_robots_case_names_exists(name: str) -> None:
     assert motion.mass == pytest.approx(0.95 if half else 1.9, rel=0.02)  # the paper's 1.9 kg
     assert motion.model.joints.count == (3 if half else 6)
     assert len(motion.model.chambers) == len(loaded.case.pressure)
+    # Chambers meet; a box has none.
+    faced = [c for c in motion.model.contacts if isinstance(c, SurfaceContact)]
+    assert len(faced) == (0 if loaded.case.rigid_bodied else 1)
+    (spec,) = [c for c in loaded.case.contact if c.type == "self"]
+    assert [c.skin for c in faced] == [spec.skin or 3e-3] * len(faced)
 
 
 @pytest.mark.parametrize("name", sorted(RINGS))
