@@ -21,7 +21,8 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     Per element from its current tangent, and from the springs and dashpots of contacts, bonds,
     lines and joints its nodes are in. A step of central differences whose damping forces are half
     a step old is stable where ``dt**2 k / 4 + dt c / 2 <= 1`` (k of the squared frequencies, c of
-    the decay rates): the frequency returned is the one of an undamped system with the same largest step.
+    the decay rates): the frequency returned is the one of an undamped system with the same largest
+    step.
 
     Without `anew` the elements' part is that of the last time; only the rest is looked at, which
     is cheap.
