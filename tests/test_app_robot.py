@@ -40,7 +40,7 @@ def rows_of(folder: Path) -> list[dict[str, float]]:
 
 
 def short(name: str, duration: str, *more: str) -> Any:
-    frames = ["dynamics.frames=3", f'dynamics.duration="{duration}"']
+    frames = ["dynamics.frames=3", f'dynamics.duration="{duration}"', 'dynamics.interval="5 ms"']
     return load_case(name, [*RIGID, *frames, *more])
 
 
