@@ -316,6 +316,9 @@ def _index(items: list[Any], part: str, path: str, where: str) -> int:
     choice = f"0 to {len(items) - 1}" if items else "nothing, the list is empty"
     if named:
         choice += f", or by name: {', '.join(named)}"
+    types = sorted({str(i["type"]) for i in items if isinstance(i, dict) and "type" in i})
+    if types:
+        choice += f", or all of a type: {', '.join(types)}"
     raise InputError(f"{path} has no item {part}; it has {choice}", where)
 
 

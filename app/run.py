@@ -335,6 +335,16 @@ def run_case(
         return _run(loaded, out, resume, progress, say, notices, start_at)
 
 
+def _check_files(loaded: LoadedCase) -> None:
+    """Files of mesh and ground are there: asked before a results folder is made."""
+    case = loaded.case
+    named = [(f"contact.{k}", getattr(spec, "file", None)) for k, spec in enumerate(case.contact)]
+    named.append(("mesh", None if case.mesh is None else case.mesh.file))
+    for key, file in named:
+        if file is not None and not loaded.path(file).is_file():
+            raise InputError(f"no such file: {loaded.path(file)}", f"{loaded.source}: {key}.file")
+
+
 def _run(
     loaded: LoadedCase,
     out: Path,
@@ -344,6 +354,7 @@ def _run(
     notices: list[str],
     start_at: Path | None,
 ) -> RunResult:
+    _check_files(loaded)
     if loaded.case.dynamics is not None:
         began = time.perf_counter()
         run = _moving_run(loaded, start_at)

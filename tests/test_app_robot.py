@@ -178,6 +178,15 @@ def test_a_search_of_a_climb_may_go_to_negative_slopes() -> None:
     assert [c.slope for c in both if c.type == "ground"] == [math.radians(-10.0)] * 2
 
 
+def test_a_ground_without_its_file_makes_no_folder(tmp_path: Path) -> None:
+    loaded = load_case("rubble", [*RIGID, "contact.ground.file=none.png"])
+    with pytest.raises(InputError, match=r"contact.0.file: no such file: .*none.png"):
+        run_case(loaded, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="or all of a type: ground, self"):
+        load_case("rubble", ["contact.rock.file=none.png"])
+
+
 # --------------------------------------------------------------------------- assembly
 
 
