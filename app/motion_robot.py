@@ -281,6 +281,8 @@ def rigid_torso(loaded: LoadedCase) -> Torso:
     # A box has no chambers that could meet, which needs no word.
     if any(c.type == "pair" for c in case.contact):
         left_out.append("contact between faces")
+    if case.dynamics is not None:  # nothing of it has a stiffness to damp
+        changes["dynamics"] = case.dynamics.model_copy(update={"stiffness_damping": 0.0})
     if case.start is not None:
         changes["start"] = case.start.model_copy(update={"case": None, "unfold": ()})
     changed = LoadedCase(case.model_copy(update=changes), loaded.source, loaded.folder)

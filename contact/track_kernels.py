@@ -57,29 +57,40 @@ def mark_near(
     """Set `near` (face_count,) to 1 for faces with a point that may touch within `reach` [m].
 
     That is: projected on a candidate it lies within the face widened by `margin` (in local
-    coordinates), no deeper than `depth` and no higher than `reach`.
+    coordinates), no deeper than `depth` and no higher than `reach`. Candidates that are farther
+    from all points of a face are struck from its row of `candidates`, so that who looks for
+    partners later looks at few.
     """
     for f in numba.prange(slaves.shape[0]):
         n = np.empty(4)
-        p = np.empty(3)
-        near[f] = 0
+        p = np.empty((points.shape[0], 3))
         for q in range(points.shape[0]):
-            if near[f] == 1:
-                break
             shape(points[q, 0], points[q, 1], n)
-            point(x, slaves[f], n, p)
-            for c in range(candidates.shape[1]):
-                m = candidates[f, c]
-                if m < 0:
-                    break
-                if out_of_reach(x, masters[m], p, margin, reach):
+            point(x, slaves[f], n, p[q])
+        near[f] = 0
+        kept = 0
+        for c in range(candidates.shape[1]):
+            m = candidates[f, c]
+            if m < 0:
+                break
+            within = False
+            for q in range(points.shape[0]):
+                if out_of_reach(x, masters[m], p[q], margin, reach):
                     continue
-                xi, eta, g, _ = project(x, masters[m], p, 0.0, 0.0)
+                within = True
+                if near[f] == 1:
+                    break
+                xi, eta, g, _ = project(x, masters[m], p[q], 0.0, 0.0)
                 if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
                     continue
                 if -depth < g < reach:
                     near[f] = 1
                     break
+            if within:
+                candidates[f, kept] = m
+                kept += 1
+        for c in range(kept, candidates.shape[1]):
+            candidates[f, c] = -1
 
 
 @inline_kernel
@@ -120,9 +131,12 @@ def track_partners(
     candidates: Any,
     depth: float,
     margin: float,
-    anew: bool,
+    way: Any,
+    limit: float,
     close: float,
     slack: float,
+    gone: float,
+    ready: Any,
     partner: Any,
     local: Any,
     gap: Any,
@@ -132,24 +146,35 @@ def track_partners(
 
     The first `near_count` entries of `near` list faces. Points that lie squarely on their partner
     stay there. The others choose among the candidates as `contact.kernels.find_partners` does,
-    if they were closer than `close` [m] to touching, or in any case where `anew` is set; else they
-    stay apart until the next time it is. A face farther than `close` is no partner.
+    if they were closer than `close` [m] to touching, or in any case where their face and what is
+    near it have gone a `way` (face_count,) beyond `limit` [m], which begins anew then; else they
+    stay apart. A face farther than `close` is no partner.
 
     A contact begins outside and deepens steadily: a point takes a new partner only where it is no
     more than `slack` [m] deeper than it was, or than the surface if it touched nothing. What is
     suddenly deep behind a face came round a crease or through a fold, and to push it out would
     make energy from nothing.
+
+    `gone` [m] is how far any node went until now, in all. A face whose points are apart needs no
+    look before it is `ready` (face_count,) [m]: when both sides may have closed its gap.
     """
     for k in numba.prange(near_count):
         f = near[k]
+        due = way[f] > limit
+        if due:
+            way[f] = 0.0
+        elif gone < ready[f]:
+            continue
+        nearest = math.inf
         n = np.empty(4)
         p = np.empty(3)
         for q in range(points.shape[0]):
-            if not anew and not gap[f, q] < close:
+            if not due and not gap[f, q] < close:
                 continue
             shape(points[q, 0], points[q, 1], n)
             point(x, slaves[f], n, p)
             if _follow(x, masters, p, f, q, depth, partner, local, gap, fade):
+                nearest = min(nearest, gap[f, q])
                 continue
             deepest = -slack
             if partner[f, q] >= 0 and gap[f, q] < 0.0:
@@ -170,6 +195,31 @@ def track_partners(
                 gap,
                 fade,
             )
+            nearest = min(nearest, gap[f, q])
+        ready[f] = gone + 0.5 * max(nearest, 0.0)
+
+
+@kernel
+def add_ways(
+    slaves: Any, masters: Any, candidates: Any, near: Any, near_count: int, moved: Any, way: Any
+) -> None:
+    """Add to `way` (face_count,) of near faces how far they and a candidate may have closed [m].
+
+    `moved` (node_count,) is how far each node went since the last time.
+    """
+    for k in range(near_count):
+        f = near[k]
+        own = 0.0
+        for a in range(4):
+            own = max(own, moved[slaves[f, a]])
+        other = 0.0
+        for c in range(candidates.shape[1]):
+            m = candidates[f, c]
+            if m < 0:
+                break
+            for a in range(4):
+                other = max(other, moved[masters[m, a]])
+        way[f] += own + other
 
 
 @kernel
@@ -186,6 +236,7 @@ def pair_forces(
     local: Any,
     gap: Any,
     fade: Any,
+    allowed: Any,
     coefficient: float,
     exponent: float,
     damping: float,
@@ -204,7 +255,7 @@ def pair_forces(
     pressure: Any,
     shear: Any,
     totals: Any,
-) -> None:
+) -> int:
     """Add the forces [N] of touching points on both faces; equal and opposite to the last bit.
 
     The normal traction is that of `contact.kernels.pair_contact`, ``B d**m1``, plus the paper's
@@ -218,7 +269,10 @@ def pair_forces(
     forces. `pressure` and `shear` (face_count, point_count) receive the tractions [Pa] of the near
     faces. `totals` (TOTALS,) gains the sums of `contact.law_kernels`; forces are on the slave side.
     `share` weighs the points, one half where both surfaces take the slave's part in turn.
+
+    Returns how many points are deeper than `allowed` (face_count, point_count) [m].
     """
+    deeper = 0
     ns = np.empty(4)
     nm = np.empty(4)
     na = np.empty(4)
@@ -245,6 +299,8 @@ def pair_forces(
             tangents(x, masters[m], d, t)
             unit_normal(t, normal)
             depth = -gap[f, q]
+            if depth > allowed[f, q]:
+                deeper += 1
             elastic = fade[f, q] * coefficient * depth**exponent
             rate = 0.0
             for i in range(3):
@@ -317,6 +373,7 @@ def pair_forces(
                     force[masters[m, a], i] -= nm[a] * push
                     dissipative[slaves[f, a], i] += ns[a] * rest_force[i]
                     dissipative[masters[m, a], i] -= nm[a] * rest_force[i]
+    return deeper
 
 
 @kernel
@@ -363,10 +420,48 @@ def contact_rates(
 
 
 @kernel
-def relative_motion(before: Any, now: Any, nodes: Any, turn: Any, shift: Any) -> float:
+def allowed_depths(
+    faces: Any,
+    counted: Any,
+    gap: Any,
+    margin: float,
+    growth: float,
+    springs: Any,
+    dashpots: Any,
+    elements: Any,
+    omega: float,
+    allowed: Any,
+) -> None:
+    """Fill `allowed` (face_count, point_count): how deep points may go [m] at a frequency bound.
+
+    The points of the faces `counted` have their share in `springs` [1/s2] and `dashpots` [1/s]
+    (node_count,), see `contact_rates`, at `margin` [m] beyond their depth. Beside what `elements`
+    (node_count,) [1/s2] ask for, those may grow until the node's bound, as
+    `kernels.combined_rates` has it, is `omega` [rad/s]; and they grow with the depth to the power
+    `growth` at most. Points of other faces have no share: they may not touch.
+    """
+    allowed[:] = 0.0
+    for k in range(counted.shape[0]):
+        f = counted[k]
+        room = math.inf
+        for a in range(4):
+            node = faces[f, a]
+            more = springs[node] + omega * dashpots[node]
+            if more > 0.0:
+                room = min(room, (omega * omega - elements[node]) / more)
+        scale = max(room, 1.0) ** (1.0 / growth)
+        for q in range(gap.shape[1]):
+            allowed[f, q] = scale * (margin - min(gap[f, q], 0.0))
+
+
+@kernel
+def relative_motion(
+    before: Any, now: Any, nodes: Any, turn: Any, shift: Any, moved: Any
+) -> float:
     """Largest way of a node [m] beyond the rigid motion ``turn @ before + shift``.
 
-    `before` (count, 3) are positions of `nodes` then, `now` (node_count, 3) those of all.
+    `before` (count, 3) are positions of `nodes` then, `now` (node_count, 3) those of all; `moved`
+    (node_count,) receives the ways of `nodes`.
     """
     largest = 0.0
     for k in range(nodes.shape[0]):
@@ -376,8 +471,9 @@ def relative_motion(before: Any, now: Any, nodes: Any, turn: Any, shift: Any) ->
             for j in range(3):
                 r -= turn[i, j] * before[k, j]
             square += r * r
-        largest = max(largest, square)
-    return math.sqrt(largest)
+        moved[nodes[k]] = math.sqrt(square)
+        largest = max(largest, moved[nodes[k]])
+    return largest
 
 
 @kernel

@@ -38,6 +38,7 @@ class DynamicContact(Protocol):
 
     name: str
     totals: np.ndarray  # (TOTALS,), see the indices above; of the last `add_forces`
+    deeper: bool  # whether it met a point that is deeper than `allow` noted for it
 
     def start(self, x: np.ndarray) -> History:
         """History of a contact that begins at positions `x` [m]."""
@@ -76,6 +77,23 @@ class DynamicContact(Protocol):
         """Add per node what may come to the squared highest frequency [1/s2], and damping [1/s].
 
         Points are taken `margin` [m] deeper than they are.
+        """
+        ...
+
+    def allow(
+        self,
+        history: History,
+        margin: float,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+        elements: np.ndarray,
+        omega: float,
+    ) -> float:
+        """Note how deep points may go with a step chosen for `omega` [rad/s].
+
+        `springs` [1/s2] and `dashpots` [1/s] (node_count,) are those of all contacts, with
+        `margin`, and `elements` (node_count,) the squared frequencies [1/s2] of the elements
+        around. Returns a depth [m] none may exceed.
         """
         ...
 

@@ -72,6 +72,7 @@ class GroundContact:
         self.pressure = np.zeros(count)
         self.shear = np.zeros(count)
         self.totals = np.zeros(TOTALS)
+        self.deeper = False  # its deepest point is looked at instead
         nodes_of, weights = curve if curve is not None else (np.zeros((0, 4)), np.zeros((0, 4)))
         self.curve_nodes = np.ascontiguousarray(nodes_of, dtype=np.int64)
         self.curve_weights = np.ascontiguousarray(weights, dtype=float)
@@ -267,6 +268,18 @@ class GroundContact:
             for rates, out in zip((springs, dashpots), on_nodes, strict=True):
                 part = share * rates[:, None] * nodal[self.curve_nodes]
                 np.add.at(out, self.curve_nodes, part)
+
+    def allow(
+        self,
+        history: History,
+        margin: float,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+        elements: np.ndarray,
+        omega: float,
+    ) -> float:
+        """See `DynamicContact`."""
+        return float(history["depth"][0]) + margin
 
     def pressing(self) -> float:
         """See `DynamicContact`."""

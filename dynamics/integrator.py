@@ -150,13 +150,14 @@ def evaluate(model: Model, state: State, work: Workspace) -> None:
         clock.lap(PRESSURES)
     work.elastic[:] = 0.0
     work.dissipative[:] = 0.0
-    work.searched = False
+    work.unforeseen = False
     clock.lap(REST)
     for contact, history in zip(model.contacts, state.histories, strict=True):
         try:
-            work.searched |= contact.prepare(state.x, history, state.travel)
+            work.unforeseen |= contact.prepare(state.x, history, state.travel)
             clock.lap(SEARCH)
             contact.add_forces(state.x, state.v, history, work.elastic, work.dissipative)
+            work.unforeseen |= contact.deeper
             clock.lap(CONTACT)
         except SolverError as error:
             raise SolverError(error.status, f"at {state.time:.6g} s {error.text}") from None
@@ -240,21 +241,15 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
     kernels.add_parts(work.parts, work.sums)
     work.kinetic = float(work.sums[0])
     if rigid.names:
-        before = rigid_kernels.kinetic(
-            rigid.mass, rigid.inertia, rigid.free, state.rigid_q, state.rigid_v, state.rigid_l
-        )
         rigid_kernels.sum_loads(
             state.x, work.total, model.owned, model.owner, state.rigid_x, work.load
         )
-        work.rigid_before[:] = state.rigid_v
         if model.joints is not None:
             work.load += model.joints.load
-        slow = model.damping.mass
-        work.load[:, :3] += rigid.mass[:, None] * (model.gravity - slow * state.rigid_v)
-        work.load[:, 3:] -= slow * state.rigid_l
-        moving = 0.5 * float((rigid.mass[:, None] * state.rigid_v**2).sum())
-        rigid_kernels.kick(
+        rigid_kernels.kick_weighed(
             h,
+            model.gravity,
+            model.damping.mass,
             work.load,
             rigid.mass,
             rigid.inertia,
@@ -262,15 +257,11 @@ def kick(model: Model, state: State, work: Workspace, h: float) -> None:
             state.rigid_q,
             state.rigid_v,
             state.rigid_l,
+            work.rigid_before,
+            work.rigid_energy,
         )
-        after = rigid_kernels.kinetic(
-            rigid.mass, rigid.inertia, rigid.free, state.rigid_q, state.rigid_v, state.rigid_l
-        )
-        work.kinetic += 0.5 * (before + after)
-        mean = 0.5 * (work.rigid_before + state.rigid_v)
-        # L . omega is twice the energy of the spin.
-        power = float((rigid.mass[:, None] * work.rigid_before * mean).sum())
-        work.sums[MASS_DAMPING] -= h * slow * (power + 2.0 * (before - moving))
+        work.kinetic += float(work.rigid_energy[0])
+        work.sums[MASS_DAMPING] += float(work.rigid_energy[1])
         if model.joints is not None:
             work.rotor_energy = model.joints.kick(
                 h,
@@ -560,7 +551,7 @@ def march(
                 stats.deepest = max([stats.deepest, *depths])
                 deeper = any(d > a for d, a in zip(depths, allowed, strict=True))
                 # Faces found since then have no share in the step chosen before.
-                if (deeper or work.searched) and done < count:
+                if (deeper or work.unforeseen) and done < count:
                     break
                 if fast is not None and done < count:
                     walked, deepest, end = fast.march(begin + done * dt, dt, count - done, allowed)
@@ -606,8 +597,14 @@ def _choose_step(
     """
     state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
-    depths = (float(history["depth"][0]) for history in state.histories)
-    allowed = [depth + margin for depth, margin in zip(depths, work.margins, strict=True)]
+    allowed = [
+        contact.allow(
+            history, margin, work.springs, work.dashpots, work.node_elements, state.omega
+        )
+        for contact, history, margin in zip(
+            model.contacts, state.histories, work.margins, strict=True
+        )
+    ]
     if options.time_step is None:
         return max(1, math.ceil(left / (options.safety * limit) - 1e-9)), allowed
     if options.time_step > limit and state.step_count:

@@ -111,6 +111,8 @@ def kick_part(
     work_damping = 0.0
     work_viscous = 0.0
     fastest = 0.0
+    taken = 1.0 / (1.0 + 0.5 * damping * h)
+    kept = taken * (1.0 - 0.5 * damping * h)
     for node in range(first, last):
         if owner[node] >= 0:
             for i in range(3):
@@ -123,7 +125,7 @@ def kick_part(
                 )
             continue
         m = mass[node]
-        r = h / m
+        r = taken * h / m
         speed = 0.0
         for i in range(3):
             if fixed[node, i]:
@@ -138,7 +140,7 @@ def kick_part(
                 + heavy[node] * gravity[i]
             )
             before = v[node, i]
-            after = ((1.0 - 0.5 * damping * h) * before + r * f) / (1.0 + 0.5 * damping * h)
+            after = kept * before + r * f
             v[node, i] = after
             mean = 0.5 * (before + after)
             way = h * mean
@@ -417,6 +419,15 @@ def combined_rates(elements: Any, cells: Any, springs: Any, dashpots: Any, out: 
             spring = max(spring, springs[cells[e, p]])
             half = max(half, 0.5 * dashpots[cells[e, p]])
         out[e] = (half + math.sqrt(half * half + elements[e] + spring)) ** 2
+
+
+@kernel
+def worst_at_nodes(elements: Any, cells: Any, out: Any) -> None:
+    """Write the largest of the `elements`' bounds around each node into `out` (node_count,)."""
+    out[:] = 0.0
+    for e in range(cells.shape[0]):
+        for p in range(8):
+            out[cells[e, p]] = max(out[cells[e, p]], elements[e])
 
 
 @kernel

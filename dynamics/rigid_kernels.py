@@ -249,3 +249,41 @@ def kinetic(mass: Any, inertia: Any, free: Any, rigid_q: Any, rigid_v: Any, rigi
         for i in range(3):
             energy += 0.5 * (mass[k] * rigid_v[k, i] ** 2 + omega[i] * rigid_l[k, i])
     return energy
+
+
+@kernel
+def kick_weighed(
+    h: float,
+    gravity: Any,
+    damping: float,
+    load: Any,
+    mass: Any,
+    inertia: Any,
+    free: Any,
+    rigid_q: Any,
+    rigid_v: Any,
+    rigid_l: Any,
+    before: Any,
+    out: Any,
+) -> None:
+    """`kick` under `load` (body_count, 6) and weight, slowed by a mass `damping` [1/s].
+
+    `load` gains both, `before` (body_count, 3) receives the velocities before. `out` (2,) receives
+    the mean of the kinetic energies before and after, and the work of the damping [J].
+    """
+    first = kinetic(mass, inertia, free, rigid_q, rigid_v, rigid_l)
+    moving = 0.0
+    for k in range(mass.shape[0]):
+        for i in range(3):
+            before[k, i] = rigid_v[k, i]
+            moving += 0.5 * mass[k] * rigid_v[k, i] ** 2
+            load[k, i] += mass[k] * (gravity[i] - damping * rigid_v[k, i])
+            load[k, 3 + i] -= damping * rigid_l[k, i]
+    kick(h, load, mass, inertia, free, rigid_q, rigid_v, rigid_l)
+    power = 0.0
+    for k in range(mass.shape[0]):
+        for i in range(3):
+            power += mass[k] * before[k, i] * 0.5 * (before[k, i] + rigid_v[k, i])
+    out[0] = 0.5 * (first + kinetic(mass, inertia, free, rigid_q, rigid_v, rigid_l))
+    # L . omega is twice the energy of the spin.
+    out[1] = -h * damping * (power + 2.0 * (first - moving))

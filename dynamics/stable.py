@@ -57,6 +57,7 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
     if model.internal is not None:
         if anew:
             _estimate_elements(model, state, work)
+            kernels.worst_at_nodes(work.elements, model.cells, work.node_elements)
         kernels.combined_rates(work.elements, model.cells, work.springs, work.dashpots, work.rates)
         worst = int(np.argmax(work.rates))  # the first NaN, if there is one
         if not math.isfinite(work.rates[worst]):

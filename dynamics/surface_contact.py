@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from flexapod.contact import kernels, track_kernels
@@ -9,22 +11,26 @@ from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.dynamics.contacts import DEPTH, FORCE, FRICTION, TOTALS, History
 from flexapod.fem.contacts import surface_passes
 
-SKIN = 3e-3  # distance up to which faces are watched [m], unless given
+SKIN = 5e-3  # distance up to which faces are watched [m], unless given
 
 # Motion of the surfaces relative to each other, as a share of the skin, after which faces are
-# searched anew, and near faces looked at. Two faces may each move so far: twice the first and
-# twice the second is what is left of the skin.
+# searched anew, and ways are counted. Two faces may each move so far: twice the first and twice
+# the second is what is left of the skin. A near face whose own way and that of what it may touch
+# add up to the second is looked at, and points are followed in every step that were closer than
+# what they may come nearer by until then: that, and twice the second not yet counted.
 SEARCH_SHARE = 0.4
 LOOK_SHARE = 0.05
+CLOSE_SHARE = 3.0 * LOOK_SHARE
 
 
 class SurfaceContact:
     """Faces against faces: of one body with itself, of two bodies, or of a body and rigid parts.
 
-    Three searches, each cheaper and more frequent than the one before: candidates by a tree once
-    the surfaces have moved by 0.4 of `skin` relative to each other, partners of near points
-    without one after a twentieth of it, and in every step the points that touch or nearly do. Rigid
-    motion of the whole does not count: a rolling wheel is searched no more often than one at rest.
+    Three searches, each cheaper and more frequent than the one before: candidates on a grid once
+    the surfaces have moved by 0.4 of `skin` relative to each other, partners of the points of a
+    near face once it and what is near it have closed by a twentieth, and in every step the points
+    that touch or nearly do. Rigid motion of the whole does not count: a rolling wheel is searched
+    no more often than one at rest.
 
     Parameters
     ----------
@@ -73,7 +79,9 @@ class SurfaceContact:
         self.passes = surface_passes(nodes, surface, partner, joint_gap)
         self.shear = [np.zeros_like(p.pressure) for p in self.passes]
         self.watched = np.unique(np.concatenate([p.slaves.ravel() for p in self.passes]))
+        self._moved = np.zeros(len(nodes))
         self.totals = np.zeros(TOTALS)
+        self.deeper = False
         self._partial = np.zeros(TOTALS)
 
     def start(self, x: np.ndarray) -> History:
@@ -84,6 +92,7 @@ class SurfaceContact:
             "age": np.zeros(1, dtype=np.int64),
             "next": np.ones(1, dtype=np.int64),
             "way": np.zeros(1),
+            "gone": np.zeros(1),
             "since": np.zeros(1),
             "depth": np.zeros(1),
             "spent": np.zeros(3),
@@ -93,6 +102,9 @@ class SurfaceContact:
             history[f"candidates{k}"] = np.full((count, 1), -1, dtype=np.int32)
             history[f"near{k}"] = np.zeros(count, dtype=np.int64)
             history[f"count{k}"] = np.zeros(1, dtype=np.int64)
+            history[f"allowed{k}"] = np.zeros(p.gap.shape)
+            history[f"way{k}"] = np.zeros(count)
+            history[f"ready{k}"] = np.zeros(count)
             for key in ("partner", "local", "gap", "fade"):
                 history[f"{key}{k}"] = np.array(getattr(p, key))
             history[f"anchor_face{k}"] = np.full(p.gap.shape, -1, dtype=np.int32)
@@ -126,6 +138,7 @@ class SurfaceContact:
             listed = np.flatnonzero(near)
             history[f"near{k}"][: listed.size] = listed
             history[f"count{k}"][0] = listed.size
+            history[f"way{k}"][listed] = np.inf  # partners are looked for at once
             far = near == 0
             history[f"partner{k}"][far] = -1
             history[f"gap{k}"][far] = np.inf
@@ -139,7 +152,8 @@ class SurfaceContact:
 
     def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """See `DynamicContact`."""
-        anew, searched = self._look(x, history, travel)
+        history["gone"][0] += travel
+        searched = self._measure(x, history, travel)
         for k, p in enumerate(self.passes):
             track_kernels.track_partners(
                 x,
@@ -151,9 +165,12 @@ class SurfaceContact:
                 history[f"candidates{k}"],
                 self.depth,
                 self.margin,
-                anew,
-                2.0 * LOOK_SHARE * self.skin,
+                history[f"way{k}"],
                 LOOK_SHARE * self.skin,
+                CLOSE_SHARE * self.skin,
+                LOOK_SHARE * self.skin,
+                float(history["gone"][0]),
+                history[f"ready{k}"],
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
@@ -161,8 +178,8 @@ class SurfaceContact:
             )
         return searched
 
-    def _look(self, x: np.ndarray, history: History, travel: float) -> tuple[bool, bool]:
-        """Whether near points without a partner are to look for one now, and a search was due.
+    def _measure(self, x: np.ndarray, history: History, travel: float) -> bool:
+        """Count the ways of near faces, and search where a search is due; returns whether it was.
 
         Relative motion is measured when any node may have gone far enough at all, and when half of
         what is left would be used up at the pace so far.
@@ -172,17 +189,27 @@ class SurfaceContact:
         history["way"][0] += travel
         age = int(history["age"][0])
         if history["way"][0] <= limit or age < history["next"][0]:
-            return False, False
-        moved = _relative_motion(history["x_near"], x, self.watched)
+            return False
+        moved = self._relative_motion(history["x_near"], x)
         left = limit - moved
         if left > 0.2 * limit:
             wait = int(0.5 * left * age / max(moved, 1e-300)) if moved > 0.0 else self.check_every
             history["next"][0] = age + min(max(wait, 1), self.check_every)
-            return False, False
+            return False
+        for k, p in enumerate(self.passes):
+            track_kernels.add_ways(
+                p.slaves,
+                p.masters,
+                history[f"candidates{k}"],
+                history[f"near{k}"],
+                int(history[f"count{k}"][0]),
+                self._moved,
+                history[f"way{k}"],
+            )
         # No point has moved farther than the sum of its ways.
         history["since"][0] += moved
         if history["since"][0] > SEARCH_SHARE * self.skin:
-            history["since"][0] = _relative_motion(history["x"], x, self.watched)
+            history["since"][0] = self._relative_motion(history["x"], x)
         searched = bool(history["since"][0] > SEARCH_SHARE * self.skin)
         if searched:
             self._search(x, history)
@@ -191,7 +218,22 @@ class SurfaceContact:
         history["way"][0] = 0.0
         history["age"][0] = 0
         history["next"][0] = min(max(age // 2, 1), self.check_every)
-        return True, searched
+        return searched
+
+    def _relative_motion(self, before: np.ndarray, x: np.ndarray) -> float:
+        """Largest way of a node [m] beyond the rigid motion that fits all of them best.
+
+        `_moved` has the way of each.
+        """
+        sums = np.empty((5, 3))
+        track_kernels.rigid_fit_sums(before, x, self.watched, sums)
+        left, _, right = np.linalg.svd(sums[2:])
+        if np.linalg.det(left @ right) < 0.0:
+            left[:, -1] *= -1.0
+        turn = left @ right
+        return track_kernels.relative_motion(
+            before, x, self.watched, turn, sums[1] - turn @ sums[0], self._moved
+        )
 
     def add_forces(
         self,
@@ -204,9 +246,10 @@ class SurfaceContact:
         """See `DynamicContact`; `totals` holds the force on the first surface."""
         law, friction = self.law, self.friction
         self.totals[:] = 0.0
+        deeper = 0
         for k, p in enumerate(self.passes):
             self._partial[:] = 0.0
-            track_kernels.pair_forces(
+            deeper += track_kernels.pair_forces(
                 x,
                 v,
                 p.slaves,
@@ -219,6 +262,7 @@ class SurfaceContact:
                 history[f"local{k}"],
                 history[f"gap{k}"],
                 history[f"fade{k}"],
+                history[f"allowed{k}"],
                 law.traction_coefficient,
                 law.stiffness_exponent,
                 law.damping_coefficient,
@@ -245,13 +289,11 @@ class SurfaceContact:
             self.totals += self._partial
             self.totals[DEPTH] = deepest
         history["depth"][0] = self.totals[DEPTH]
+        self.deeper = deeper > 0
 
     def near_travel(self, v: np.ndarray, history: History, dt: float, travel: float) -> float:
-        """See `DynamicContact`; both surfaces move, at most so far each.
-
-        So the factor two of `rate_margin` is used up, and a search or a greater depth must help.
-        """
-        return travel
+        """See `DynamicContact`: none to allow for, since each point has a depth of its own."""
+        return 0.0
 
     def add_rates(
         self,
@@ -264,10 +306,11 @@ class SurfaceContact:
         """See `DynamicContact`."""
         law = self.law
         for k, p in enumerate(self.passes):
+            near = self._counted(history, k)
             track_kernels.contact_rates(
                 p.slaves,
-                history[f"near{k}"],
-                int(history[f"count{k}"][0]),
+                near,
+                near.size,
                 kernels.POINTS,
                 p.areas,
                 history[f"gap{k}"],
@@ -282,6 +325,38 @@ class SurfaceContact:
                 springs,
                 dashpots,
             )
+
+    def _counted(self, history: History, k: int) -> np.ndarray:
+        """Near faces that touch or may within some steps, of pass `k`."""
+        near = history[f"near{k}"][: int(history[f"count{k}"][0])]
+        nearest = history[f"gap{k}"][near].min(axis=1, initial=np.inf)
+        return near[nearest < LOOK_SHARE * self.skin]
+
+    def allow(
+        self,
+        history: History,
+        margin: float,
+        springs: np.ndarray,
+        dashpots: np.ndarray,
+        elements: np.ndarray,
+        omega: float,
+    ) -> float:
+        """See `DynamicContact`."""
+        growth = max(self.law.stiffness_exponent - 1.0, self.law.indentation_exponent)
+        for k, p in enumerate(self.passes):
+            track_kernels.allowed_depths(
+                p.slaves,
+                self._counted(history, k),
+                history[f"gap{k}"],
+                margin,
+                growth,
+                springs,
+                dashpots,
+                elements,
+                omega,
+                history[f"allowed{k}"],
+            )
+        return math.inf
 
     def pressing(self) -> float:
         """See `DynamicContact`; both surfaces feel it, it is counted once."""
@@ -299,13 +374,3 @@ class SurfaceContact:
             kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
 
-
-def _relative_motion(before: np.ndarray, x: np.ndarray, nodes: np.ndarray) -> float:
-    """Largest way of a node [m] beyond the rigid motion that fits all of them best."""
-    sums = np.empty((5, 3))
-    track_kernels.rigid_fit_sums(before, x, nodes, sums)
-    left, _, right = np.linalg.svd(sums[2:])
-    if np.linalg.det(left @ right) < 0.0:
-        left[:, -1] *= -1.0
-    turn = left @ right
-    return track_kernels.relative_motion(before, x, nodes, turn, sums[1] - turn @ sums[0])

@@ -81,6 +81,7 @@ class Workspace:
         self.parts = np.zeros((kernels.PARTS, 7))
         self.sums = np.zeros(7)
         self.load = np.zeros((len(model.rigid.names), 6))
+        self.rigid_energy = np.zeros(2)
         self.rigid_before = np.zeros((len(model.rigid.names), 3))
         self.owned_before = np.zeros((model.owned.size, 3))
         self.chamber_pressure = np.zeros(len(model.chambers))
@@ -92,10 +93,11 @@ class Workspace:
         self.rotor_energy = 0.0  # of motion
         self.joint_spent = np.zeros(3)
         self.kinetic = 0.0
-        self.searched = False  # whether the last forces looked for near faces anew
+        self.unforeseen = False  # whether the last forces met contact the step does not allow for
         self.margins: list[float] = []  # depth the step allows for beyond each contact's own [m]
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)
+        self.node_elements = np.zeros(shape[0])
         self.springs = np.zeros(shape[0])
         self.dashpots = np.zeros(shape[0])
         # Reciprocals are fixed until mass is scaled; rigid nodes have their share.
