@@ -455,9 +455,7 @@ def allowed_depths(
 
 
 @kernel
-def relative_motion(
-    before: Any, now: Any, nodes: Any, turn: Any, shift: Any, moved: Any
-) -> float:
+def relative_motion(before: Any, now: Any, nodes: Any, turn: Any, shift: Any, moved: Any) -> float:
     """Largest way of a node [m] beyond the rigid motion ``turn @ before + shift``.
 
     `before` (count, 3) are positions of `nodes` then, `now` (node_count, 3) those of all; `moved`

@@ -127,8 +127,9 @@ def account(contact: DynamicContact, history: History, dt: float) -> None:
 # for. The paper's damping grows with the square of the depth: at 0.3 mm its dashpot alone asks for
 # steps of 4 us, so more than the body is likely to sink in within a few steps is not allowed for
 # but looked at again, which is cheap. A walking robot's steps are longer by a third with 15 um;
-# what comes 25 um nearer in one step needs the larger margin. It is the deepest point of a contact
-# that is watched: others may come up to its depth unseen until the next search or interval.
+# what comes 25 um nearer in one step needs the larger margin. On the ground the deepest point of a
+# contact is watched: others may come up to its depth unseen until the next search or interval.
+# Between faces each point has a depth of its own, see `DynamicContact.allow`, and the least will do.
 LEAST_MARGIN, RATE_MARGIN = 1.5e-5, 5e-5
 
 

@@ -598,9 +598,7 @@ def _choose_step(
     state.omega = highest_frequency(model, state, work, anew=whole)
     limit = stable_step(state.omega, model)
     allowed = [
-        contact.allow(
-            history, margin, work.springs, work.dashpots, work.node_elements, state.omega
-        )
+        contact.allow(history, margin, work.springs, work.dashpots, work.node_elements, state.omega)
         for contact, history, margin in zip(
             model.contacts, state.histories, work.margins, strict=True
         )

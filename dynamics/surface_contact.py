@@ -373,4 +373,3 @@ class SurfaceContact:
         for p in self.passes:
             kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
-

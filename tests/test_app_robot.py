@@ -241,6 +241,9 @@ def test_rigid_torso_has_mass_and_inertia_of_the_body() -> None:
     whole = assemble_motion(load_case("stand", ["robot.body=medium"]), None, print, settle=False)
     rigid = assemble_motion(load_case("stand", RIGID), None, print, settle=False)
     assert rigid.model.soft_cells.size == 0
+    # What damps the silicone would only make the box's steps smaller.
+    assert whole.model.damping.stiffness > 0.0
+    assert rigid.model.damping.stiffness == 0.0
     assert rigid.mass == pytest.approx(whole.mass, rel=1e-12)
     model, x = whole.model, whole.state.x
     free = model.owner < 0

@@ -209,6 +209,33 @@ def _carried(
     return owned, owner, local
 
 
+def test_weight_and_mass_damping_and_their_energies() -> None:
+    """A kick under both, and the works of a first-order step, by hand."""
+    bodies = _bodies(ALL, ALL, ALL)
+    random = np.random.default_rng(5)
+    _, q, v, momentum = bodies.initial_state(random.normal(size=(3, 3)))
+    v[:] = random.normal(size=(3, 3))
+    momentum[:] = 1e-3 * random.normal(size=(3, 3))
+    load = random.normal(size=(3, 6))
+    first, turning, push = v.copy(), momentum.copy(), load.copy()
+    data = bodies.mass, bodies.inertia, bodies.free
+    gravity, damping, h = np.array([0.5, 0.0, -9.8]), 3.0, 1e-3
+    energy = rigid_kernels.kinetic(*data, q, v, momentum)
+    spin = energy - 0.5 * float((bodies.mass[:, None] * v**2).sum())
+    before, out = np.empty((3, 3)), np.empty(2)
+    rigid_kernels.kick_weighed(h, gravity, damping, load, *data, q, v, momentum, before, out)
+    expected = first + h * (push[:, :3] / bodies.mass[:, None] + gravity - damping * first)
+    np.testing.assert_allclose(v, expected, rtol=ROUND_OFF)
+    np.testing.assert_allclose(
+        momentum, turning + h * (push[:, 3:] - damping * turning), rtol=ROUND_OFF
+    )
+    np.testing.assert_array_equal(before, first)
+    mean = 0.5 * (energy + rigid_kernels.kinetic(*data, q, v, momentum))
+    assert out[0] == pytest.approx(mean, rel=ROUND_OFF)
+    along = float((bodies.mass[:, None] * first * 0.5 * (first + v)).sum())
+    assert out[1] == pytest.approx(-h * damping * (along + 2.0 * spin), rel=ROUND_OFF)
+
+
 def test_loads_are_the_sums_of_forces_and_cross_products() -> None:
     bodies = _bodies(ALL, ALL, ALL)
     owned, owner, _ = _carried(bodies)

@@ -1,0 +1,146 @@
+"""What is looked at, followed and allowed for between two searches of face-to-face contact."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexapod.contact import kernels, track_kernels
+from flexapod.contact.law import ContactLaw
+from flexapod.dynamics.surface_contact import LOOK_SHARE, SurfaceContact
+
+SIZE = 0.01  # of a face [m]
+LAW = ContactLaw(damping_ratio=0.0)
+
+
+def two_plates(gap: float, shift: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes, and 3 x 3 faces looking up under 3 x 3 faces looking down, `gap` [m] apart."""
+    line = SIZE * np.arange(4)
+    flat = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    low = np.column_stack([flat, np.zeros(16)])
+    high = np.column_stack([flat + [shift, 0.0], np.full(16, gap)])
+    first = np.array([4 * i + j for i in range(3) for j in range(3)])
+    up = first[:, None] + [0, 4, 5, 1]
+    down = 16 + first[:, None] + [0, 1, 5, 4]
+    return np.concatenate([low, high]), up, down
+
+
+def plates(gap: float, skin: float = 4e-3) -> tuple[SurfaceContact, np.ndarray]:
+    nodes, up, down = two_plates(gap)
+    return SurfaceContact("pair", nodes, up, down, LAW, skin=skin), nodes
+
+
+def test_candidates_out_of_reach_are_struck() -> None:
+    """What is left holds every face a point can be pressed onto, found here by the distance."""
+    rng = np.random.default_rng(3)
+    for gap, shift in ((1e-3, 0.0), (3e-3, 0.4 * SIZE), (3e-3, 1.7 * SIZE), (6e-3, 0.0)):
+        x, up, down = two_plates(gap, shift)
+        x = x + 2e-4 * rng.standard_normal(x.shape)
+        candidates = np.tile(np.arange(9, dtype=np.int32), (9, 1))
+        near = np.zeros(9, dtype=np.int64)
+        track_kernels.mark_near(
+            x, up, kernels.POINTS, down, candidates, 1e-3, 4e-3, 0.8, near
+        )  # fmt: skip
+        points = np.empty((9, 4, 3))
+        kernels.point_positions(x, up, kernels.POINTS, points)
+        for f in range(9):
+            kept = candidates[f][candidates[f] >= 0]
+            assert (candidates[f][kept.size :] == -1).all()
+            # In the plane a point is on the widened face; warped by 0.2 mm, some of it to spare.
+            middle = x[down].mean(axis=1)
+            over = np.abs(points[f][:, None, :2] - middle[None, :, :2]).max(axis=2)
+            pressed = (over < 0.5 * SIZE).any(axis=0) & (gap < 3.4e-3)
+            assert set(np.flatnonzero(pressed)) <= set(kept)
+            far = (over > 1.9 * 0.5 * SIZE + 4e-3).all(axis=0) | (gap > 5.5e-3)
+            assert not set(np.flatnonzero(far)) & set(kept)
+            assert near[f] == 0 or kept.size
+
+
+def test_a_face_is_followed_again_before_it_can_touch() -> None:
+    """The upper plate comes down in steps; nothing is looked at before half of the gap is gone."""
+    contact, x = plates(0.5e-3)
+    history = contact.start(x)
+    contact.prepare(x, history, 0.0)
+    assert history["gap0"].max() == pytest.approx(0.5e-3, rel=1e-9)
+    seen, gaps = [], []
+    for step in range(1, 30):
+        x = x + np.where(np.arange(32) < 16, 1.0, -1.0)[:, None] * [0.0, 0.0, 1e-5]
+        contact.prepare(x, history, 1e-5)
+        gaps.append(0.5e-3 - 2e-5 * step)
+        seen.append(float(history["gap0"].min()))
+    # Both move by as much as the fastest node: just at the touch each is looked at again.
+    looked = np.isclose(seen, gaps, rtol=0.0, atol=1e-9)
+    assert not looked[:20].any()
+    assert looked[24:].all()
+    assert np.array(seen)[:24].min() > 0.0
+
+
+def test_ways_are_counted_by_face() -> None:
+    """One corner that swings does not have the other faces looked at."""
+    contact, x = plates(3e-3)
+    history = contact.start(x)
+    contact.prepare(x, history, 0.0)
+    assert not history["way0"].any()
+    limit = LOOK_SHARE * contact.skin
+    for _ in range(8):
+        x = x.copy()
+        x[31, 2] -= 0.5 * limit  # the last corner of the upper plate
+        contact.prepare(x, history, 0.5 * limit)
+    way = history["way0"].reshape(3, 3)
+    assert way[2, 2] > 5.0 * way[0, 0]
+    # A rigid motion fits what moves: some of it is left over for all.
+    assert history["since"][0] > 1.5 * limit
+
+
+def test_points_may_go_as_deep_as_the_step_allows() -> None:
+    """At the depth that is noted the bound of the frequency is the one the step was chosen for."""
+    contact, x = plates(-1e-4)
+    history = contact.start(x)
+    contact.prepare(x, history, 0.0)
+    inverse_mass = np.full(32, 1.0 / 2e-5)
+    inverse_mass[:16] *= 0.2
+    elements = np.full(32, 2e8)
+    margin = 1.5e-5
+
+    def rates(beyond: float) -> tuple[np.ndarray, np.ndarray]:
+        springs, dashpots = np.zeros(32), np.zeros(32)
+        contact.add_rates(history, inverse_mass, beyond, springs, dashpots)
+        return springs, dashpots
+
+    springs, dashpots = rates(margin)
+    omega = 1.6 * np.sqrt(elements.max() + springs.max())
+    contact.allow(history, margin, springs, dashpots, elements, omega)
+    deepest = 0.0
+    for k, half in enumerate((slice(0, 16), slice(16, 32))):
+        allowed = history[f"allowed{k}"]
+        assert (allowed > 1e-4 + margin).all()
+        # As deep as the first that may go no deeper: then one node is at the bound, none above.
+        springs, dashpots = rates(allowed.min() - 1e-4)
+        squares = elements[half] + springs[half]
+        assert squares.max() <= omega**2 * (1.0 + 1e-9)
+        deepest = max(deepest, squares.max())
+    # The law is linear in depth but for the damping's exponent, which is the larger: some is left.
+    assert deepest > 0.4 * omega**2
+
+
+def test_a_point_deeper_than_allowed_is_noticed() -> None:
+    """Also where another point of the same contact is deeper still, and where none was counted."""
+    contact, x = plates(2e-4)
+    x[28:, 2] = -2e-4  # one edge of the upper plate is deep already
+    history = contact.start(x)
+    zero = np.zeros((32, 3))
+
+    def deeper(y: np.ndarray) -> bool:
+        contact.prepare(y, history, 1e-3)
+        contact.add_forces(y, zero, history, zero.copy(), zero.copy())
+        return contact.deeper
+
+    assert deeper(x)
+    springs, dashpots = np.zeros((2, 32))
+    contact.add_rates(history, np.full(32, 5e4), 1.5e-5, springs, dashpots)
+    contact.allow(history, 1.5e-5, springs, dashpots, np.zeros(32), float(np.sqrt(springs.max())))
+    assert not deeper(x)
+    pressed = x.copy()
+    pressed[16:28, 2] = -1e-4  # shallower than the edge
+    assert history["depth"][0] > 1e-4
+    assert deeper(pressed)
