@@ -28,6 +28,7 @@ def candidate_faces(
     reach: float,
     rest: Rest | None = None,
     joint_gap: float = 0.0,
+    radii: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Return master faces that each slave face may touch, nearest first.
 
@@ -39,6 +40,9 @@ def candidate_faces(
         Corner quadruples, shapes (slave_count, 4) and (master_count, 4); may be the same array.
     reach
         Largest distance [m] between face centres that can matter.
+    radii
+        Of both surfaces' faces around their centres [m]; the distance may then be no more than both
+        of a pair and what `reach` is more than the two largest.
     rest, joint_gap
         Both surfaces undeformed, and the normal distance [m] below which two faces of one body
         count as joined where they are near each other (`CREASE`): the two sides of a corner lie in
@@ -63,6 +67,8 @@ def candidate_faces(
     joined = rest is not None
     if rest is None:
         rest = Rest(*slave_frames, np.empty(0), *master_frames, np.empty(0))  # not looked at
+    if radii is None:
+        radii = np.zeros(slaves.shape[0]), np.zeros(masters.shape[0])
     search_kernels.pick_candidates(
         low,
         width,
@@ -72,6 +78,9 @@ def candidate_faces(
         master_frames[0][order],
         SPAN,
         reach,
+        reach - radii[0].max() - radii[1].max(),
+        radii[0],
+        radii[1][order],
         slaves,
         masters,
         *slave_frames,
@@ -121,6 +130,13 @@ def diagonals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     first = np.linalg.norm(x[faces[:, 2]] - x[faces[:, 0]], axis=1)
     second = np.linalg.norm(x[faces[:, 3]] - x[faces[:, 1]], axis=1)
     return np.asarray(np.maximum(first, second))
+
+
+def radii(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Largest distance of a corner from each face's centre [m]."""
+    out = np.empty(faces.shape[0])
+    search_kernels.face_radii(x, faces, out)
+    return out
 
 
 def _frames(x: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -53,6 +53,22 @@ def sort_into_cells(centre: Any, low: Any, width: Any, count: Any, start: Any, o
         order[start[c]] = f
 
 
+@kernel
+def face_radii(x: Any, faces: Any, out: Any) -> None:
+    """Fill `out` (face_count,) with the largest distance of a corner from the centre [m]."""
+    for f in range(faces.shape[0]):
+        largest = 0.0
+        for a in range(4):
+            square = 0.0
+            for i in range(3):
+                away = x[faces[f, a], i] - 0.25 * (
+                    x[faces[f, 0], i] + x[faces[f, 1], i] + x[faces[f, 2], i] + x[faces[f, 3], i]
+                )
+                square += away * away
+            largest = max(largest, square)
+        out[f] = math.sqrt(largest)
+
+
 @inline_kernel
 def _may_touch(
     f: int,
@@ -107,6 +123,9 @@ def pick_candidates(
     place: Any,
     span: int,
     reach: float,
+    room: float,
+    slave_radius: Any,
+    master_radius: Any,
     slaves: Any,
     masters: Any,
     slave_centre: Any,
@@ -149,7 +168,8 @@ def pick_candidates(
                     for a in range(3):
                         d = slave_centre[f, a] - place[e, a]
                         s += d * d
-                    if not s < reach * reach:
+                    most = min(slave_radius[f] + master_radius[e] + room, reach)
+                    if not s < most * most:
                         continue
                     m = order[e]
                     k = count

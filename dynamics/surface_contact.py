@@ -13,14 +13,19 @@ from flexapod.fem.contacts import surface_passes
 
 SKIN = 5e-3  # distance up to which faces are watched [m], unless given
 
-# Motion of the surfaces relative to each other, as a share of the skin, after which faces are
-# searched anew, and ways are counted. Two faces may each move so far: twice the first and twice
-# the second is what is left of the skin. A near face whose own way and that of what it may touch
-# add up to the second is looked at, and points are followed in every step that were closer than
-# what they may come nearer by until then: that, and twice the second not yet counted.
+# Shares of the skin. Faces are searched anew after so much motion relative to each other, which
+# two faces may each have gone; ways are counted, at the latest, after the second. A near face whose
+# own way and that of what it may touch add up to the third is looked at, so points are followed
+# that were closer than what they may come nearer by until then: that, and twice the second not yet
+# counted. All of it is less than what the search leaves of the skin.
 SEARCH_SHARE = 0.4
-LOOK_SHARE = 0.05
-CLOSE_SHARE = 3.0 * LOOK_SHARE
+WAY_SHARE = 0.02
+LOOK_SHARE = 0.1
+CLOSE_SHARE = LOOK_SHARE + 2.0 * WAY_SHARE
+# How much deeper than before a point may be on a face that is new to it, and how near a face has
+# to be to count in the stable step.
+SLACK_SHARE = 0.03
+COUNT_SHARE = 0.05
 
 
 class SurfaceContact:
@@ -28,8 +33,8 @@ class SurfaceContact:
 
     Three searches, each cheaper and more frequent than the one before: candidates on a grid once
     the surfaces have moved by 0.4 of `skin` relative to each other, partners of the points of a
-    near face once it and what is near it have closed by a twentieth, and in every step the points
-    that touch or nearly do. Rigid motion of the whole does not count: a rolling wheel is searched
+    near face once it and what is near it have closed by a tenth, and in every step the points that
+    touch or nearly do. Rigid motion of the whole does not count: a rolling wheel is searched
     no more often than one at rest.
 
     Parameters
@@ -168,7 +173,7 @@ class SurfaceContact:
                 history[f"way{k}"],
                 LOOK_SHARE * self.skin,
                 CLOSE_SHARE * self.skin,
-                LOOK_SHARE * self.skin,
+                SLACK_SHARE * self.skin,
                 float(history["gone"][0]),
                 history[f"ready{k}"],
                 history[f"partner{k}"],
@@ -184,7 +189,7 @@ class SurfaceContact:
         Relative motion is measured when any node may have gone far enough at all, and when half of
         what is left would be used up at the pace so far.
         """
-        limit = LOOK_SHARE * self.skin
+        limit = WAY_SHARE * self.skin
         history["age"][0] += 1
         history["way"][0] += travel
         age = int(history["age"][0])
@@ -330,7 +335,7 @@ class SurfaceContact:
         """Near faces that touch or may within some steps, of pass `k`."""
         near = history[f"near{k}"][: int(history[f"count{k}"][0])]
         nearest = history[f"gap{k}"][near].min(axis=1, initial=np.inf)
-        return near[nearest < LOOK_SHARE * self.skin]
+        return near[nearest < COUNT_SHARE * self.skin]
 
     def allow(
         self,

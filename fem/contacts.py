@@ -9,7 +9,7 @@ import numpy as np
 
 from flexapod.contact import kernels
 from flexapod.contact.law import ContactLaw
-from flexapod.contact.search import Rest, candidate_faces, diagonals
+from flexapod.contact.search import Rest, candidate_faces, radii
 from flexapod.fem.loads import Stiffness
 
 
@@ -247,11 +247,12 @@ class SurfacePass:
 
         Surfaces may come nearer by `room` [m] until the next time.
         """
-        size = diagonals(x, self.slaves).max(initial=0.0)
+        first = second = radii(x, self.slaves)
         if self.masters is not self.slaves:
-            size = max(size, diagonals(x, self.masters).max(initial=0.0))
+            second = radii(x, self.masters)
+        reach = first.max(initial=0.0) + second.max(initial=0.0) + room
         self.candidates = candidate_faces(
-            x, self.slaves, self.masters, size + room, self._rest, self._joint_gap
+            x, self.slaves, self.masters, reach, self._rest, self._joint_gap, (first, second)
         )
 
     def search(self, x: np.ndarray, depth: float, margin: float) -> None:
