@@ -291,9 +291,9 @@ def resolve(loaded: LoadedCase, mesh: TaggedMesh | None) -> dict[str, Any]:
             "nodes": len(mesh.nodes),
         }
     resolved = loaded.resolved(**info)
-    if loaded.case.mesh is not None and loaded.case.mesh.builder is not None:
-        options = builder_options(loaded.case.mesh, loaded.source)
-        resolved["mesh"] = {"builder": loaded.case.mesh.builder, **options}
+    sized = loaded.case.sized_mesh  # as fine as it was built, said in full
+    if sized is not None and sized.builder is not None:
+        resolved["mesh"] = {"builder": sized.builder, **builder_options(sized, loaded.source)}
     return resolved
 
 

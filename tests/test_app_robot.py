@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from flexapod.app import plots
-from flexapod.app.case import load_case, parse_case
+from flexapod.app.assemble import build_mesh, mesh_hash
+from flexapod.app.case import LoadedCase, load_case, parse_case
 from flexapod.app.motion_flight import cycle_results
 from flexapod.app.motion_model import assemble_motion
 from flexapod.app.motion_robot import robot_results, station_names, step_results
 from flexapod.app.pool import with_values
-from flexapod.app.run import RunResult, run_case
+from flexapod.app.run import RunResult, resolve, run_case
 from flexapod.app.search import Range
 from flexapod.core.errors import InputError, Status
 from flexapod.dynamics.stable import highest_frequency
@@ -89,6 +90,17 @@ def test_the_body_says_how_fine_the_mesh_is() -> None:
     # A sweep, or a run of the resolved case, may still choose another body.
     full = with_values(load_case("stand"), {"robot.body": "full"})
     assert parse_case(full, "mine.toml").sized_mesh.options["size"] == "default"
+
+
+@pytest.mark.parametrize("body", ["coarse", "rigid"])
+def test_a_resolved_case_has_the_mesh_that_was_built(body: str) -> None:
+    """What is written beside the results builds the same body when it is run again."""
+    loaded = load_case("stand", [f"robot.body={body}"])
+    table = {k: v for k, v in resolve(loaded, None).items() if k != "resolved"}
+    again = LoadedCase(parse_case(table, "again"), loaded.source, loaded.folder)
+    first, second = build_mesh(loaded), build_mesh(again)
+    assert mesh_hash(first) == mesh_hash(second)
+    assert resolve(again, None)["mesh"] == table["mesh"]
 
 
 @pytest.mark.parametrize(
