@@ -69,7 +69,7 @@ class MovingContact(Table):
     )
     skin: PositiveLength | None = Field(
         default=None,
-        description="Distance up to which faces are watched (default: 3 mm; ground 5 mm): a "
+        description="Distance up to which faces are watched (default: 5 mm): a "
         "thinner one is cheaper between searches, which come sooner. Faces that come nearer by "
-        "more than a twentieth of it in one step may be missed.",
+        "more than a fiftieth of it in one step may be missed.",
     )

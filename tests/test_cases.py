@@ -62,7 +62,7 @@ def test_everything_a_moving_case_names_exists(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(ROBOTS))
 def test_everything_a_robots_case_names_exists(name: str) -> None:
     from flexapod.app.motion_model import assemble_motion
-    from flexapod.dynamics.surface_contact import SurfaceContact
+    from flexapod.dynamics.surface_contact import SKIN, SurfaceContact
 
     loaded = load_case(name)
     motion = assemble_motion(loaded, None, lambda text: None, settle=False)
@@ -75,7 +75,7 @@ def test_everything_a_robots_case_names_exists(name: str) -> None:
     faced = [c for c in motion.model.contacts if isinstance(c, SurfaceContact)]
     assert len(faced) == (0 if loaded.case.rigid_bodied else 1)
     (spec,) = [c for c in loaded.case.contact if c.type == "self"]
-    assert [c.skin for c in faced] == [spec.skin or 3e-3] * len(faced)
+    assert [c.skin for c in faced] == [spec.skin or SKIN] * len(faced)
 
 
 @pytest.mark.parametrize("name", sorted(RINGS))
