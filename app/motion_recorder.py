@@ -264,6 +264,12 @@ class Recorder:
             raise InputError(
                 "the checkpoint is of another mesh; run without --resume", str(self.folder.path)
             )
+        for old, new in zip(state.histories, self.motion.state.histories, strict=True):
+            if old.keys() != new.keys():
+                raise InputError(
+                    "the checkpoint is of another version of flexapod; run without --resume",
+                    str(self.folder.path),
+                )
         self.motion.state = state
         return True
 

@@ -28,7 +28,8 @@ def candidate_faces(
     reach: float,
     rest: Rest | None = None,
     joint_gap: float = 0.0,
-    radii: tuple[np.ndarray, np.ndarray] | None = None,
+    sizes: tuple[np.ndarray, np.ndarray] | None = None,
+    count: int = CANDIDATE_COUNT,
 ) -> np.ndarray:
     """Return master faces that each slave face may touch, nearest first.
 
@@ -40,22 +41,24 @@ def candidate_faces(
         Corner quadruples, shapes (slave_count, 4) and (master_count, 4); may be the same array.
     reach
         Largest distance [m] between face centres that can matter.
-    radii
-        Of both surfaces' faces around their centres [m]; the distance may then be no more than both
-        of a pair and what `reach` is more than the two largest.
     rest, joint_gap
         Both surfaces undeformed, and the normal distance [m] below which two faces of one body
         count as joined where they are near each other (`CREASE`): the two sides of a corner lie in
         one plane back to back, and would be found "in contact" as soon as the corner shears. None
         (separate bodies) keeps them all.
+    sizes
+        Radii of both surfaces' faces around their centres [m], shapes (slave_count,) and
+        (master_count,). `reach` is then that of a pair of the largest, and shorter for others.
+    count
+        Length of the lists.
 
     Returns
     -------
-    Indices into `masters`, shape (slave_count, CANDIDATE_COUNT), -1 where there are fewer.
+    Indices into `masters`, shape (slave_count, count), -1 where there are fewer.
     Faces that share a node or do not face each other are left out. The cost grows with the number
     of faces, as long as few of them are within reach of one.
     """
-    out = np.full((slaves.shape[0], CANDIDATE_COUNT), -1, dtype=np.int32)
+    out = np.full((slaves.shape[0], count), -1, dtype=np.int32)
     if not slaves.shape[0] or not masters.shape[0] or not reach > 0.0:
         return out
     slave_frames = _frames(x, slaves)
@@ -67,8 +70,8 @@ def candidate_faces(
     joined = rest is not None
     if rest is None:
         rest = Rest(*slave_frames, np.empty(0), *master_frames, np.empty(0))  # not looked at
-    if radii is None:
-        radii = np.zeros(slaves.shape[0]), np.zeros(masters.shape[0])
+    if sizes is None:
+        sizes = np.zeros(slaves.shape[0]), np.zeros(masters.shape[0])
     search_kernels.pick_candidates(
         low,
         width,
@@ -78,9 +81,9 @@ def candidate_faces(
         master_frames[0][order],
         SPAN,
         reach,
-        reach - radii[0].max() - radii[1].max(),
-        radii[0],
-        radii[1][order],
+        reach - sizes[0].max() - sizes[1].max(),
+        sizes[0],
+        sizes[1][order],
         slaves,
         masters,
         *slave_frames,

@@ -143,7 +143,10 @@ def pick_candidates(
     master_size: Any,
     out: Any,
 ) -> None:
-    """Write per slave face the master faces nearer than `reach` [m] that may touch, nearest first.
+    """Write per slave face the master faces in reach that may touch, nearest first.
+
+    Centres are no farther apart than `reach` [m], nor than both radii and `room` [m]:
+    `slave_radius` (slave_count,), `master_radius` (master_count,) in the grid's order.
 
     See `contact.search.candidate_faces`, whose rules these are; the arrays named rest belong to
     the undeformed surfaces and count where `joined` says that both are of one body. The grid is

@@ -41,6 +41,10 @@ from flexapod.contact.law_kernels import (
 )
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 
+# A gap closes by at most so many times the way of the fastest node: the point goes no farther than
+# its nodes, but beside its partner's rim, up to 0.3 in local coordinates, the partner's swing adds.
+CLOSING = 2.7
+
 
 @parallel_kernel
 def mark_near(
@@ -49,16 +53,14 @@ def mark_near(
     points: Any,
     masters: Any,
     candidates: Any,
-    depth: float,
     reach: float,
     margin: float,
     near: Any,
 ) -> None:
-    """Set `near` (face_count,) to 1 for faces with a point that may touch within `reach` [m].
+    """Set `near` (face_count,) to 1 for faces with a point nearer than `reach` [m] to a candidate.
 
-    That is: projected on a candidate it lies within the face widened by `margin` (in local
-    coordinates), no deeper than `depth` and no higher than `reach`. Candidates that are farther
-    from all points of a face are struck from its row of `candidates`, so that who looks for
+    A candidate is widened by `margin` (in local coordinates), over which it takes points. Those
+    farther from all points of a face are struck from its row of `candidates`, so that who looks for
     partners later looks at few.
     """
     for f in numba.prange(slaves.shape[0]):
@@ -67,28 +69,17 @@ def mark_near(
         for q in range(points.shape[0]):
             shape(points[q, 0], points[q, 1], n)
             point(x, slaves[f], n, p[q])
-        near[f] = 0
         kept = 0
         for c in range(candidates.shape[1]):
             m = candidates[f, c]
             if m < 0:
                 break
-            within = False
             for q in range(points.shape[0]):
-                if out_of_reach(x, masters[m], p[q], margin, reach):
-                    continue
-                within = True
-                if near[f] == 1:
+                if not out_of_reach(x, masters[m], p[q], margin, reach):
+                    candidates[f, kept] = m
+                    kept += 1
                     break
-                xi, eta, g, _ = project(x, masters[m], p[q], 0.0, 0.0)
-                if abs(xi) > 1.0 + margin or abs(eta) > 1.0 + margin:
-                    continue
-                if -depth < g < reach:
-                    near[f] = 1
-                    break
-            if within:
-                candidates[f, kept] = m
-                kept += 1
+        near[f] = min(kept, 1)
         for c in range(kept, candidates.shape[1]):
             candidates[f, c] = -1
 
@@ -156,7 +147,8 @@ def track_partners(
     make energy from nothing.
 
     `gone` [m] is how far any node went until now, in all. A face whose points are apart needs no
-    look before it is `ready` (face_count,) [m]: when both sides may have closed its gap.
+    look before it is `ready` (face_count,) [m]: when both sides may have closed its gap, see
+    `CLOSING`.
     """
     for k in numba.prange(near_count):
         f = near[k]
@@ -196,7 +188,7 @@ def track_partners(
                 fade,
             )
             nearest = min(nearest, gap[f, q])
-        ready[f] = gone + 0.5 * max(nearest, 0.0)
+        ready[f] = gone + max(nearest, 0.0) / CLOSING
 
 
 @kernel
@@ -436,9 +428,10 @@ def allowed_depths(
 
     The points of the faces `counted` have their share in `springs` [1/s2] and `dashpots` [1/s]
     (node_count,), see `contact_rates`, at `margin` [m] beyond their depth. Beside what `elements`
-    (node_count,) [1/s2] ask for, those may grow until the node's bound, as
-    `kernels.combined_rates` has it, is `omega` [rad/s]; and they grow with the depth to the power
-    `growth` at most. Points of other faces have no share: they may not touch.
+    (node_count,) [1/s2] ask for, those may grow until ``elements + springs + omega dashpots`` of
+    the node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the frequency. They grow
+    with the depth to the power `growth` at most. Points of other faces have no share: they may not
+    touch. What a point presses on has points of its own, which are counted in the same way.
     """
     allowed[:] = 0.0
     for k in range(counted.shape[0]):

@@ -20,12 +20,14 @@ SKIN = 5e-3  # distance up to which faces are watched [m], unless given
 # counted. All of it is less than what the search leaves of the skin.
 SEARCH_SHARE = 0.4
 WAY_SHARE = 0.02
-LOOK_SHARE = 0.1
+LOOK_SHARE = 0.06
 CLOSE_SHARE = LOOK_SHARE + 2.0 * WAY_SHARE
 # How much deeper than before a point may be on a face that is new to it, and how near a face has
 # to be to count in the stable step.
 SLACK_SHARE = 0.03
 COUNT_SHARE = 0.05
+# Candidates of a face before those out of reach are struck: a large one has many small ones near.
+CANDIDATES = 32
 
 
 class SurfaceContact:
@@ -33,8 +35,8 @@ class SurfaceContact:
 
     Three searches, each cheaper and more frequent than the one before: candidates on a grid once
     the surfaces have moved by 0.4 of `skin` relative to each other, partners of the points of a
-    near face once it and what is near it have closed by a tenth, and in every step the points that
-    touch or nearly do. Rigid motion of the whole does not count: a rolling wheel is searched
+    near face once it and what is near it have closed by 0.06 of it, and in every step the points
+    that touch or nearly do. Rigid motion of the whole does not count: a rolling wheel is searched
     no more often than one at rest.
 
     Parameters
@@ -125,18 +127,17 @@ class SurfaceContact:
                 p.search(x, self.depth, self.margin)
                 for key in ("partner", "local", "gap", "fade"):
                     history[f"{key}{k}"][:] = getattr(p, key)
-            p.find_candidates(x, self.depth + self.skin)
+            # A point may slide in over a rim, or over a partner's margin.
+            p.find_candidates(x, self.depth + self.skin, self.margin, CANDIDATES)
             history[f"candidates{k}"] = p.candidates
-            # A point may slide in over a rim by the skin: half a face, about, and more is rare.
             track_kernels.mark_near(
                 x,
                 p.slaves,
                 kernels.POINTS,
                 p.masters,
                 p.candidates,
-                self.depth,
-                self.skin,
-                self.margin + 0.5,
+                max(self.skin, self.depth),
+                self.margin,
                 near,
             )
             near[(history[f"gap{k}"] < 0.0).any(axis=1)] = 1
@@ -199,7 +200,9 @@ class SurfaceContact:
         left = limit - moved
         if left > 0.2 * limit:
             wait = int(0.5 * left * age / max(moved, 1e-300)) if moved > 0.0 else self.check_every
-            history["next"][0] = age + min(max(wait, 1), self.check_every)
+            # Nor longer than it takes the fastest node to go as far as ways may go uncounted.
+            wait = min(wait, self.check_every, int(limit / max(travel, 1e-300)))
+            history["next"][0] = age + max(wait, 1)
             return False
         for k, p in enumerate(self.passes):
             track_kernels.add_ways(
@@ -222,7 +225,8 @@ class SurfaceContact:
             np.take(x, self.watched, axis=0, out=history["x_near"], mode="clip")
         history["way"][0] = 0.0
         history["age"][0] = 0
-        history["next"][0] = min(max(age // 2, 1), self.check_every)
+        wait = min(age // 2, self.check_every, int(limit / max(travel, 1e-300)))
+        history["next"][0] = max(wait, 1)
         return searched
 
     def _relative_motion(self, before: np.ndarray, x: np.ndarray) -> float:
@@ -332,10 +336,13 @@ class SurfaceContact:
             )
 
     def _counted(self, history: History, k: int) -> np.ndarray:
-        """Near faces that touch or may within some steps, of pass `k`."""
+        """Near faces that touch or may within some steps, of pass `k`.
+
+        By what is left of the way to their next look: a gap is that of the last one.
+        """
         near = history[f"near{k}"][: int(history[f"count{k}"][0])]
-        nearest = history[f"gap{k}"][near].min(axis=1, initial=np.inf)
-        return near[nearest < COUNT_SHARE * self.skin]
+        left = history[f"ready{k}"][near] - history["gone"][0]
+        return near[track_kernels.CLOSING * left < COUNT_SHARE * self.skin]
 
     def allow(
         self,

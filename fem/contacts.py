@@ -9,7 +9,7 @@ import numpy as np
 
 from flexapod.contact import kernels
 from flexapod.contact.law import ContactLaw
-from flexapod.contact.search import Rest, candidate_faces, radii
+from flexapod.contact.search import CANDIDATE_COUNT, Rest, candidate_faces, radii
 from flexapod.fem.loads import Stiffness
 
 
@@ -242,22 +242,33 @@ class SurfacePass:
         self.candidates = np.full((slaves.shape[0], 1), -1, dtype=np.int32)
         self.couplings = np.empty((0, 8), dtype=np.int64)
 
-    def find_candidates(self, x: np.ndarray, room: float) -> None:
-        """List the master faces each slave face may touch at positions `x` [m].
+    def find_candidates(
+        self, x: np.ndarray, room: float, margin: float, count: int = CANDIDATE_COUNT
+    ) -> None:
+        """List up to `count` master faces each slave face may touch at positions `x` [m].
 
-        Surfaces may come nearer by `room` [m] until the next time.
+        Surfaces may come nearer by `room` [m] until the next time; masters take points up to
+        `margin` (in local coordinates) beside their rims.
         """
         first = second = radii(x, self.slaves)
         if self.masters is not self.slaves:
             second = radii(x, self.masters)
+        second = (1.0 + margin) * second
         reach = first.max(initial=0.0) + second.max(initial=0.0) + room
         self.candidates = candidate_faces(
-            x, self.slaves, self.masters, reach, self._rest, self._joint_gap, (first, second)
+            x,
+            self.slaves,
+            self.masters,
+            reach,
+            self._rest,
+            self._joint_gap,
+            (first, second),
+            count,
         )
 
     def search(self, x: np.ndarray, depth: float, margin: float) -> None:
         """Candidates, partners and what they may couple, all anew."""
-        self.find_candidates(x, depth)
+        self.find_candidates(x, depth, margin)
         kernels.find_partners(
             x,
             self.slaves,

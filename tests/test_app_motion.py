@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import h5py
@@ -134,6 +135,12 @@ def test_a_killed_motion_goes_on_to_the_same_bits(
         kept = json.loads(file.attrs["about"])["recorder"]["stats"]
     assert kept["steps"] > 0
     monkeypatch.setattr(motion_module.Recorder, "record", record)
+    # One of a version whose contacts remember less.
+    shutil.copytree(tmp_path / "broken", tmp_path / "old")
+    with h5py.File(tmp_path / "old" / "checkpoint.h5", "r+") as file:
+        del file["state/history0.depth"]
+    with pytest.raises(InputError, match="of another version of flexapod"):
+        run_case(loaded, tmp_path / "old", resume=True)
     assert run_case(loaded, tmp_path / "broken", resume=True).status is Status.DONE
     states = []
     for name in ("whole", "broken"):
