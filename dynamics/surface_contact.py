@@ -117,6 +117,7 @@ class SurfaceContact:
             history[f"anchor_face{k}"] = np.full(p.gap.shape, -1, dtype=np.int32)
             history[f"anchor_local{k}"] = np.zeros_like(p.local)
         self._search(x, history, first=True)
+        self.prepare(x, history, 0.0)  # says when each face is to be looked at
         return history
 
     def _search(self, x: np.ndarray, history: History, first: bool = False) -> None:

@@ -167,3 +167,14 @@ def test_a_point_deeper_than_allowed_is_noticed() -> None:
     pressed[16:28, 2] = -1e-4  # shallower than the edge
     assert history["depth"][0] > 1e-4
     assert deeper(pressed)
+
+
+def test_what_is_apart_has_no_share_in_the_step() -> None:
+    """From the start on, before any step: plates 2 mm apart ask for nothing, touching ones do."""
+    for gap, counts in ((2e-3, False), (1e-4, True), (-1e-4, True)):
+        contact, x = plates(gap)
+        history = contact.start(x)
+        springs, dashpots = np.zeros((2, 32))
+        contact.add_rates(history, np.full(32, 5e4), 1.5e-5, springs, dashpots)
+        assert springs.any() == counts
+        assert dashpots.any() == counts
