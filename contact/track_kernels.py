@@ -128,11 +128,13 @@ def track_partners(
     slack: float,
     gone: float,
     ready: Any,
+    soon: float,
+    allowed: Any,
     partner: Any,
     local: Any,
     gap: Any,
     fade: Any,
-) -> None:
+) -> int:
     """Refresh partner, local coordinates, gap and fade of the points of the `near` faces.
 
     The first `near_count` entries of `near` list faces. Points that lie squarely on their partner
@@ -149,7 +151,11 @@ def track_partners(
     `gone` [m] is how far any node went until now, in all. A face whose points are apart needs no
     look before it is `ready` (face_count,) [m]: when both sides may have closed its gap, see
     `CLOSING`.
+
+    Returns how many faces without a share in the stable step (`allowed`, see `allowed_depths`) have
+    come nearer than `soon` [m].
     """
+    late = 0
     for k in numba.prange(near_count):
         f = near[k]
         due = way[f] > limit
@@ -189,11 +195,20 @@ def track_partners(
             )
             nearest = min(nearest, gap[f, q])
         ready[f] = gone + max(nearest, 0.0) / CLOSING
+        if allowed[f, 0] == 0.0 and nearest < soon:
+            late += 1
+    return late
 
 
 @kernel
 def add_ways(
-    slaves: Any, masters: Any, candidates: Any, near: Any, near_count: int, moved: Any, way: Any
+    slaves: Any,
+    masters: Any,
+    candidates: Any,
+    near: Any,
+    near_count: int,
+    moved: Any,
+    way: Any,
 ) -> None:
     """Add to `way` (face_count,) of near faces how far they and a candidate may have closed [m].
 
@@ -427,11 +442,12 @@ def allowed_depths(
     """Fill `allowed` (face_count, point_count): how deep points may go [m] at a frequency bound.
 
     The points of the faces `counted` have their share in `springs` [1/s2] and `dashpots` [1/s]
-    (node_count,), see `contact_rates`, at `margin` [m] beyond their depth. Beside what `elements`
-    (node_count,) [1/s2] ask for, those may grow until ``elements + springs + omega dashpots`` of
-    the node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the frequency. They grow
-    with the depth to the power `growth` at most. Points of other faces have no share: they may not
-    touch. What a point presses on has points of its own, which are counted in the same way.
+    (node_count,), see `contact_rates`, at `margin` [m] beyond their depth. Beside
+    what `elements` (node_count,) [1/s2] ask for, those may grow until ``elements + springs + omega
+    dashpots`` of the node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the
+    frequency. They grow with the depth to the power `growth` at most. Points of other faces have no
+    share: they may not touch. What a point presses on has points of its own, which are counted in
+    the same way.
     """
     allowed[:] = 0.0
     for k in range(counted.shape[0]):

@@ -129,7 +129,7 @@ def account(contact: DynamicContact, history: History, dt: float) -> None:
 # but looked at again, which is cheap. A walking robot's steps are longer by a third with 15 um;
 # what comes 25 um nearer in one step needs the larger margin. On the ground the deepest point of a
 # contact is watched: others may come up to its depth unseen until the next search or interval.
-# Between faces each point has a depth of its own (`DynamicContact.allow`), and the least will do.
+# Between faces each point has a depth of its own (`DynamicContact.allow`).
 LEAST_MARGIN, RATE_MARGIN = 1.5e-5, 5e-5
 
 

@@ -8,7 +8,14 @@ import numpy as np
 
 from flexapod.contact import kernels, track_kernels
 from flexapod.contact.law import ContactLaw, FrictionLaw
-from flexapod.dynamics.contacts import DEPTH, FORCE, FRICTION, TOTALS, History
+from flexapod.dynamics.contacts import (
+    DEPTH,
+    FORCE,
+    FRICTION,
+    TOTALS,
+    History,
+    rate_margin,
+)
 from flexapod.fem.contacts import surface_passes
 
 SKIN = 5e-3  # distance up to which faces are watched [m], unless given
@@ -24,7 +31,7 @@ LOOK_SHARE = 0.06
 CLOSE_SHARE = LOOK_SHARE + 2.0 * WAY_SHARE
 # How much deeper than before a point may be on a face that is new to it, and how near a face has
 # to be to count in the stable step.
-SLACK_SHARE = 0.03
+SLACK_SHARE = 0.05
 COUNT_SHARE = 0.05
 # Candidates of a face before those out of reach are struck: a large one has many small ones near.
 CANDIDATES = 32
@@ -161,8 +168,9 @@ class SurfaceContact:
         """See `DynamicContact`."""
         history["gone"][0] += travel
         searched = self._measure(x, history, travel)
+        late = 0
         for k, p in enumerate(self.passes):
-            track_kernels.track_partners(
+            late += track_kernels.track_partners(
                 x,
                 p.slaves,
                 history[f"near{k}"],
@@ -178,12 +186,14 @@ class SurfaceContact:
                 SLACK_SHARE * self.skin,
                 float(history["gone"][0]),
                 history[f"ready{k}"],
+                max(0.5 * COUNT_SHARE * self.skin, 2.0 * rate_margin(travel)),
+                history[f"allowed{k}"],
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
                 history[f"fade{k}"],
             )
-        return searched
+        return searched or late > 0
 
     def _measure(self, x: np.ndarray, history: History, travel: float) -> bool:
         """Count the ways of near faces, and search where a search is due; returns whether it was.
@@ -302,8 +312,8 @@ class SurfaceContact:
         self.deeper = deeper > 0
 
     def near_travel(self, v: np.ndarray, history: History, dt: float, travel: float) -> float:
-        """See `DynamicContact`: none to allow for, since each point has a depth of its own."""
-        return 0.0
+        """See `DynamicContact`; both surfaces move, at most so far each."""
+        return travel
 
     def add_rates(
         self,
@@ -316,7 +326,7 @@ class SurfaceContact:
         """See `DynamicContact`."""
         law = self.law
         for k, p in enumerate(self.passes):
-            near = self._counted(history, k)
+            near = self._counted(history, k, margin)
             track_kernels.contact_rates(
                 p.slaves,
                 near,
@@ -336,14 +346,14 @@ class SurfaceContact:
                 dashpots,
             )
 
-    def _counted(self, history: History, k: int) -> np.ndarray:
+    def _counted(self, history: History, k: int, margin: float) -> np.ndarray:
         """Near faces that touch or may within some steps, of pass `k`.
 
-        By what is left of the way to their next look: a gap is that of the last one.
+        What comes nearer later is noticed by `prepare`, two steps before it touches.
         """
         near = history[f"near{k}"][: int(history[f"count{k}"][0])]
-        left = history[f"ready{k}"][near] - history["gone"][0]
-        return near[track_kernels.CLOSING * left < COUNT_SHARE * self.skin]
+        nearest = history[f"gap{k}"][near].min(axis=1, initial=np.inf)
+        return near[nearest < max(COUNT_SHARE * self.skin, 4.0 * margin)]
 
     def allow(
         self,
@@ -359,7 +369,7 @@ class SurfaceContact:
         for k, p in enumerate(self.passes):
             track_kernels.allowed_depths(
                 p.slaves,
-                self._counted(history, k),
+                self._counted(history, k, margin),
                 history[f"gap{k}"],
                 margin,
                 growth,

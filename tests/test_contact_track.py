@@ -8,6 +8,7 @@ import pytest
 from flexapod.contact import kernels, track_kernels
 from flexapod.contact.law import ContactLaw
 from flexapod.contact.search import candidate_faces, radii
+from flexapod.dynamics.contacts import RATE_MARGIN
 from flexapod.dynamics.surface_contact import WAY_SHARE, SurfaceContact
 
 SIZE = 0.01  # of a face [m]
@@ -125,22 +126,24 @@ def test_points_may_go_as_deep_as_the_step_allows() -> None:
     inverse_mass = np.full(32, 1.0 / 2e-5)
     inverse_mass[:16] *= 0.2
     elements = np.full(32, 2e8)
-    margin = 1.5e-5
+    margin = RATE_MARGIN
 
-    def rates(beyond: float) -> tuple[np.ndarray, np.ndarray]:
+    def rates() -> tuple[np.ndarray, np.ndarray]:
         springs, dashpots = np.zeros(32), np.zeros(32)
-        contact.add_rates(history, inverse_mass, beyond, springs, dashpots)
+        contact.add_rates(history, inverse_mass, margin, springs, dashpots)
         return springs, dashpots
 
-    springs, dashpots = rates(margin)
-    omega = 1.6 * np.sqrt(elements.max() + springs.max())
+    springs, dashpots = rates()
+    half = 0.5 * dashpots
+    omega = 1.6 * float((half + np.sqrt(half**2 + elements + springs)).max())
     contact.allow(history, margin, springs, dashpots, elements, omega)
-    allowed = history["allowed0"], history["allowed1"]
-    tightest = min(a.min() for a in allowed)
+    tightest = min(history["allowed0"].min(), history["allowed1"].min())
     assert tightest > 1e-4 + margin
     # All of them as deep as the first that may go no deeper: no node is beyond the bound, and since
     # springs grow with the depth and dashpots with its square, one is not far from it.
-    springs, dashpots = rates(tightest - 1e-4)
+    for k in range(2):
+        history[f"gap{k}"][:] = margin - tightest
+    springs, dashpots = rates()
     bound = elements + springs + omega * dashpots
     assert 0.7 * omega**2 < bound.max() <= omega**2 * (1.0 + 1e-9)
     assert (omega * dashpots).max() > 0.01 * omega**2
