@@ -181,3 +181,24 @@ def test_what_is_apart_has_no_share_in_the_step() -> None:
         contact.add_rates(history, np.full(32, 5e4), 1.5e-5, springs, dashpots)
         assert springs.any() == counts
         assert dashpots.any() == counts
+
+
+def test_what_comes_near_without_a_share_is_noticed_before_it_touches() -> None:
+    """Once: after the step is chosen with it, it is counted."""
+    contact, x = plates(1e-3)
+    history = contact.start(x)
+    inverse_mass, none = np.full(32, 5e4), np.zeros(32)
+    springs, dashpots = np.zeros((2, 32))
+    contact.add_rates(history, inverse_mass, RATE_MARGIN, springs, dashpots)
+    contact.allow(history, RATE_MARGIN, springs, dashpots, none, 1e4)
+    assert not springs.any()
+    gap = 1e-3
+    while not contact.prepare(x, history, 1e-5):
+        x = x + np.where(np.arange(32) < 16, 1.0, -1.0)[:, None] * [0.0, 0.0, 1e-5]
+        gap -= 2e-5
+    # Two steps of both sides before the touch, at the least.
+    assert gap > 4e-5
+    contact.add_rates(history, inverse_mass, RATE_MARGIN, springs, dashpots)
+    assert springs.all()
+    contact.allow(history, RATE_MARGIN, springs, dashpots, none, 1e4)
+    assert not contact.prepare(x, history, 1e-5)
