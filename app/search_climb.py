@@ -84,11 +84,14 @@ class _Climbs:
         self.steepest[pattern] = abs(low)
 
     def note(self, pattern: str, value: float, outcome: Outcome) -> bool | None:
-        """Keep a trial; whether it climbed, or None where it did not reach its end."""
-        if not outcome.done:
+        """Keep a trial; whether it climbed, or None where it did not reach its end.
+
+        What has slid down as far as it should have climbed did not climb, whatever stopped it then.
+        """
+        way = float(outcome.results.get("uphill_m", math.nan))
+        if not outcome.done and not way <= -self.spec.distance:
             self.notes[pattern] = f"{outcome.status} at {self.range.text(value)}: {outcome.message}"
             return None
-        way = float(outcome.results["uphill_m"])
         climbs = way >= self.spec.distance
         self.trials[pattern][value] = {"uphill_m": way, "climbs": climbs}
         return climbs

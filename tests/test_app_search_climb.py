@@ -123,6 +123,27 @@ def test_a_trial_that_fails_ends_its_pattern_only(
     assert results["search_notes"] == {"BG": "not_finite at 0 deg: no number"}
 
 
+def test_what_slides_down_and_fails_then_did_not_climb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A body that falls through the ground metres downhill; nearer than the distance none knows."""
+    ran: list[str] = []
+    run = _climbers(ran)
+
+    def fall(job: Job) -> Outcome:
+        outcome = run(job)
+        slid = outcome.results["uphill_m"] < 0.0
+        return Outcome("fell_through", "too deep", {"uphill_m": -0.03}) if slid else outcome
+
+    monkeypatch.setattr(pool, "run_job", fall)
+    result = run_case(_loaded(tmp_path), tmp_path / "r")
+    assert result.status is Status.DONE, result.message
+    summary = json.loads((tmp_path / "r" / "summary.json").read_text())["results"]
+    assert summary["steepest_slope_by_pattern"]["BF"] == 10.0
+    trials = [t for t in summary["trials"] if t["pattern"] == "BF" and t["value"] == 32.0]
+    assert trials == [{"pattern": "BF", "value": 32.0, "uphill_m": -0.03, "climbs": False}]
+
+
 def test_trials_are_motions_that_are_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
