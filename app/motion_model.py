@@ -429,6 +429,31 @@ def restore_scaled(model: Model, work: Workspace, arrays: dict[str, np.ndarray])
         work.inverse_mass = model.inverse_mass()
 
 
+def restored_state(
+    motion: Motion, arrays: dict[str, np.ndarray], numbers: dict[str, Any], where: str
+) -> State:
+    """The state of a checkpoint of this motion, its scaled masses put back.
+
+    Raises
+    ------
+    InputError
+        It is of another mesh, or of a version whose contacts remember other things.
+    """
+    from flexapod.dynamics.model import State
+
+    restore_scaled(motion.model, motion.work, arrays)
+    numbers = {k: (math.nan if v is None else v) for k, v in numbers.items()}
+    state = State.from_arrays(arrays, numbers)
+    if state.u.shape != motion.state.u.shape:
+        raise InputError("the checkpoint is of another mesh; run without --resume", where)
+    for old, new in zip(state.histories, motion.state.histories, strict=True):
+        if old.keys() != new.keys():
+            raise InputError(
+                "the checkpoint is of another version of flexapod; run without --resume", where
+            )
+    return state
+
+
 def centre(model: Model, state: State) -> np.ndarray:
     """Centre of all masses [m]."""
     from flexapod.dynamics import kernels

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexapod.app.case import LoadedCase, package_version
-from flexapod.app.motion_model import Motion, restore_scaled, scaled_arrays
+from flexapod.app.motion_model import Motion, restored_state, scaled_arrays
 from flexapod.app.motion_rigid import RigidTracks
 from flexapod.app.outputs import OutputState, ResultsFolder
 from flexapod.app.probes import Probe, make_probes
-from flexapod.core.errors import InputError
 
 if TYPE_CHECKING:
     from flexapod.dynamics.integrator import Energies
@@ -234,7 +233,6 @@ class Recorder:
     def resume(self) -> bool:
         """Take the last checkpoint's state; False where there is none."""
         from flexapod.dynamics.integrator import RunStats
-        from flexapod.dynamics.model import State
         from flexapod.dynamics.workspace import Clock
 
         kept = self.folder.read_checkpoint()
@@ -247,7 +245,6 @@ class Recorder:
             self.motion.model.viscous.restore(
                 {key.removeprefix("viscous."): value for key, value in viscous.items()}
             )
-        restore_scaled(self.motion.model, self.motion.work, arrays)
         self.sample_start = arrays.pop("sample_start", None)
         self.centre_start = arrays.pop("centre_start", None)
         self.tracks.restore(arrays)
@@ -258,19 +255,9 @@ class Recorder:
         self.weight_start = extra["weight_start"]
         kept_stats = extra["stats"]
         self.stats = RunStats(**{**kept_stats, "clock": Clock(**kept_stats["clock"])})
-        numbers = {k: (math.nan if v is None else v) for k, v in about["state"].items()}
-        state = State.from_arrays(arrays, numbers)
-        if state.u.shape != self.motion.state.u.shape:
-            raise InputError(
-                "the checkpoint is of another mesh; run without --resume", str(self.folder.path)
-            )
-        for old, new in zip(state.histories, self.motion.state.histories, strict=True):
-            if old.keys() != new.keys():
-                raise InputError(
-                    "the checkpoint is of another version of flexapod; run without --resume",
-                    str(self.folder.path),
-                )
-        self.motion.state = state
+        self.motion.state = restored_state(
+            self.motion, arrays, about["state"], str(self.folder.path)
+        )
         return True
 
 

@@ -18,7 +18,7 @@ from flexapod.app.motion_model import (
     Shape,
     assemble_motion,
     centre,
-    restore_scaled,
+    restored_state,
     scaled_arrays,
     settled_shape,
     start_shape,
@@ -215,13 +215,10 @@ class _Trials:
         return arrays, {"state": about, "rested": self.rested}
 
     def _restore(self, arrays: dict[str, np.ndarray], about: dict[str, Any]) -> None:
-        from flexapod.dynamics.model import State
-
         assert self.motion is not None
         self.begin = arrays.pop("begin", None)
-        restore_scaled(self.motion.model, self.motion.work, arrays)
-        numbers = {k: (math.nan if v is None else v) for k, v in about["state"].items()}
-        self.state, self.rested = State.from_arrays(arrays, numbers), about["rested"]
+        self.state = restored_state(self.motion, arrays, about["state"], self.loaded.source)
+        self.rested = about["rested"]
 
 
 class _Watch:

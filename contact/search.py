@@ -48,7 +48,7 @@ def candidate_faces(
         (separate bodies) keeps them all.
     sizes
         Radii of both surfaces' faces around their centres [m], shapes (slave_count,) and
-        (master_count,). `reach` is then that of a pair of the largest, and shorter for others.
+        (master_count,); `reach` then counts from where both end.
     count
         Length of the lists.
 
@@ -63,15 +63,16 @@ def candidate_faces(
         return out
     slave_frames = _frames(x, slaves)
     master_frames = slave_frames if masters is slaves else _frames(x, masters)
-    low, width, cells = _grid(master_frames[0], reach)
+    if sizes is None:
+        sizes = np.zeros(slaves.shape[0]), np.zeros(masters.shape[0])
+    farthest = reach + sizes[0].max() + sizes[1].max()
+    low, width, cells = _grid(master_frames[0], farthest)
     start = np.empty(int(cells.prod()) + 1, dtype=np.int64)
     order = np.empty(masters.shape[0], dtype=np.int64)
     search_kernels.sort_into_cells(master_frames[0], low, width, cells, start, order)
     joined = rest is not None
     if rest is None:
         rest = Rest(*slave_frames, np.empty(0), *master_frames, np.empty(0))  # not looked at
-    if sizes is None:
-        sizes = np.zeros(slaves.shape[0]), np.zeros(masters.shape[0])
     search_kernels.pick_candidates(
         low,
         width,
@@ -81,7 +82,6 @@ def candidate_faces(
         master_frames[0][order],
         SPAN,
         reach,
-        reach - sizes[0].max() - sizes[1].max(),
         sizes[0],
         sizes[1][order],
         slaves,

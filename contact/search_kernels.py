@@ -123,7 +123,6 @@ def pick_candidates(
     place: Any,
     span: int,
     reach: float,
-    room: float,
     slave_radius: Any,
     master_radius: Any,
     slaves: Any,
@@ -145,14 +144,15 @@ def pick_candidates(
 ) -> None:
     """Write per slave face the master faces in reach that may touch, nearest first.
 
-    Centres are no farther apart than `reach` [m], nor than both radii and `room` [m]:
-    `slave_radius` (slave_count,), `master_radius` (master_count,) in the grid's order.
+    Centres are no farther apart than both radii and `reach` [m]: `slave_radius` (slave_count,),
+    `master_radius` (master_count,) in the grid's order.
 
     See `contact.search.candidate_faces`, whose rules these are; the arrays named rest belong to
     the undeformed surfaces and count where `joined` says that both are of one body. The grid is
-    that of `sort_into_cells` for the masters' centres, its cells no narrower than `reach` over
-    `span`; `place` (master_count, 3) holds the centres in its order. `out` (slave_count, n) gets
-    the n nearest, of equals the one with the lower number, and -1 where there are fewer.
+    that of `sort_into_cells` for the masters' centres, its cells no narrower than the
+    farthest of these distances over `span`; `place` (master_count, 3) holds the centres in its
+    order. `out` (slave_count, n) gets the n nearest, of equals the one with the lower number, and
+    -1 where there are fewer.
     """
     for f in numba.prange(slaves.shape[0]):
         square = np.empty(out.shape[1])
@@ -171,7 +171,7 @@ def pick_candidates(
                     for a in range(3):
                         d = slave_centre[f, a] - place[e, a]
                         s += d * d
-                    most = min(slave_radius[f] + master_radius[e] + room, reach)
+                    most = slave_radius[f] + master_radius[e] + reach
                     if not s < most * most:
                         continue
                     m = order[e]

@@ -42,7 +42,8 @@ from flexapod.contact.law_kernels import (
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 
 # A gap closes by at most so many times the way of the fastest node: the point goes no farther than
-# its nodes, but beside its partner's rim, up to 0.3 in local coordinates, the partner's swing adds.
+# its nodes, but beside its partner's rim, up to a margin of 0.3 in local coordinates (the default),
+# the partner's shape functions add up to 1.3 squared.
 CLOSING = 2.7
 
 

@@ -253,16 +253,14 @@ class SurfacePass:
         first = second = radii(x, self.slaves)
         if self.masters is not self.slaves:
             second = radii(x, self.masters)
-        second = (1.0 + margin) * second
-        reach = first.max(initial=0.0) + second.max(initial=0.0) + room
         self.candidates = candidate_faces(
             x,
             self.slaves,
             self.masters,
-            reach,
+            room,
             self._rest,
             self._joint_gap,
-            (first, second),
+            (first, (1.0 + margin) * second),
             count,
         )
 

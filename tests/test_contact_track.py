@@ -71,8 +71,7 @@ def test_candidates_by_the_sizes_of_both_faces() -> None:
     room = 4e-3
     for slaves, masters in ((one, down), (down, one), (np.concatenate([one, down]),) * 2):
         sizes = radii(x, slaves), radii(x, masters)
-        reach = sizes[0].max() + sizes[1].max() + room
-        found = candidate_faces(x, slaves, masters, reach, None, 0.0, sizes, 225)
+        found = candidate_faces(x, slaves, masters, room, None, 0.0, sizes, 225)
         for f, row in enumerate(found):
             kept = set(row[row >= 0])
             away = np.linalg.norm(x[masters].mean(axis=1) - x[slaves[f]].mean(axis=0), axis=1)
