@@ -220,7 +220,8 @@ class HeightField:
     def packed(self) -> Packed:
         """Kind, params (8,) and heights (nx, ny) for the kernels."""
         # A writable copy: numba would compile the kernels once more for read-only arrays.
-        return _packed(HEIGHT_FIELD, [self.x0, self.y0, self.spacing], self.heights.copy())
+        params = [self.x0, self.y0, self.spacing, float(self.heights.max())]
+        return _packed(HEIGHT_FIELD, params, self.heights.copy())
 
 
 Ground: TypeAlias = Plane | Step | HeightField

@@ -34,7 +34,7 @@ from flexapod.core.jit import inline_kernel, kernel
 PLANE = 0
 # params = x of the riser, height
 STEP = 1
-# params = x0, y0, spacing
+# params = x0, y0, spacing, greatest height
 HEIGHT_FIELD = 2
 
 
@@ -139,6 +139,34 @@ def gap_and_normal(kind: int, params: Any, heights: Any, p: Any, normal: Any) ->
     return _height_field(params, heights, p, normal)
 
 
+@inline_kernel
+def _held(s: float, last: int) -> float:
+    return min(max(s, 0.0), float(last))
+
+
+@inline_kernel
+def _beside_heights(params: Any, heights: Any, p: Any, distance: float) -> bool:
+    """Whether a height field may be nearer to `p` than `distance` [m] on any side.
+
+    If not, all of it within `distance` from above is lower than `p` by at least as much.
+    """
+    s = (p[0] - params[0]) / params[2]
+    t = (p[1] - params[1]) / params[2]
+    if not (p[2] - params[3] < distance and s == s and t == t):
+        return False
+    around = distance / params[2]
+    last_s = heights.shape[0] - 1
+    last_t = heights.shape[1] - 1
+    # Of the cells that are touched, both ends; beside the field the rim's height continues.
+    first_i, end_i = int(_held(s - around, last_s)), math.ceil(_held(s + around, last_s)) + 1
+    first_j, end_j = int(_held(t - around, last_t)), math.ceil(_held(t + around, last_t)) + 1
+    for i in range(first_i, end_i):
+        for j in range(first_j, end_j):
+            if p[2] - heights[i, j] < distance:
+                return True
+    return False
+
+
 @kernel
 def near_faces(
     x: Any, faces: Any, kind: int, params: Any, heights: Any, distance: float, out: Any
@@ -146,7 +174,8 @@ def near_faces(
     """Write the faces with a corner nearer to the ground than `distance` [m]; return how many.
 
     `out` (face_count,) int. Only corners are looked at: `distance` must cover the half diagonal
-    of a face for an edge of the ground that lies under a face's middle.
+    of a face for an edge of the ground that lies under a face's middle. Beside a steep wall of a
+    height field the tangent plane below says nothing of the wall: there all heights around count.
     """
     p = np.empty(3)
     normal = np.empty(3)
@@ -155,7 +184,10 @@ def near_faces(
         for a in range(4):
             for i in range(3):
                 p[i] = x[faces[f, a], i]
-            if gap_and_normal(kind, params, heights, p, normal) < distance:
+            near = gap_and_normal(kind, params, heights, p, normal) < distance
+            if not near and kind == HEIGHT_FIELD:
+                near = _beside_heights(params, heights, p, distance)
+            if near:
                 out[count] = f
                 count += 1
                 break

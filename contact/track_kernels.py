@@ -45,6 +45,8 @@ from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
 # its nodes, but beside its partner's rim, up to a margin of 0.3 in local coordinates (the default),
 # the partner's shape functions add up to 1.3 squared.
 CLOSING = 2.7
+# Steps towards the best rotation, at most: as two positions lie close to each other three suffice.
+TURN_STEPS = 30
 
 
 @parallel_kernel
@@ -464,38 +466,131 @@ def allowed_depths(
             allowed[f, q] = scale * (margin - min(gap[f, q], 0.0))
 
 
+@inline_kernel
+def _best_turn(moments: Any, turn: Any) -> None:
+    """Fill `turn` (3, 3) with the rotation R of the largest sum of ``R * moments``.
+
+    Newton's method on the group of rotations, and where it would leave the maximum the step of
+    M. Mueller, J. Bender, N. Chentanez & M. Macklin, A robust method to extract the rotational part
+    of deformations, 2016, doi:10.1145/2994258.2994269, which always leads to it.
+    """
+    b = np.empty((3, 3))
+    e = np.empty((3, 3))
+    way = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = 1.0 if i == j else 0.0
+    for _ in range(TURN_STEPS):
+        for i in range(3):
+            for j in range(3):
+                b[i, j] = 0.0
+                for k in range(3):
+                    b[i, j] += moments[i, k] * turn[j, k]
+        trace = b[0, 0] + b[1, 1] + b[2, 2]
+        g0 = b[2, 1] - b[1, 2]
+        g1 = b[0, 2] - b[2, 0]
+        g2 = b[1, 0] - b[0, 1]
+        # Minus the second derivative, as L D L^T.
+        a00 = trace - b[0, 0]
+        a11 = trace - b[1, 1]
+        a22 = trace - b[2, 2]
+        a10 = -0.5 * (b[1, 0] + b[0, 1])
+        a20 = -0.5 * (b[2, 0] + b[0, 2])
+        a21 = -0.5 * (b[2, 1] + b[1, 2])
+        size = abs(a00) + abs(a11) + abs(a22)
+        l10 = a10 / a00
+        l20 = a20 / a00
+        d1 = a11 - l10 * a10
+        c21 = a21 - l20 * a10
+        l21 = c21 / d1
+        d2 = a22 - l20 * a20 - l21 * c21
+        least = 1e-9 * size
+        if a00 > least and d1 > least and d2 > least:
+            way[0] = g0
+            way[1] = g1 - l10 * way[0]
+            way[2] = (g2 - l20 * way[0] - l21 * way[1]) / d2
+            way[1] = way[1] / d1 - l21 * way[2]
+            way[0] = way[0] / a00 - l10 * way[1] - l20 * way[2]
+        else:
+            scale = 1.0 / (abs(trace) + 1e-9 * size + 1e-300)
+            way[0] = scale * g0
+            way[1] = scale * g1
+            way[2] = scale * g2
+        angle = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        if not angle > 1e-12:
+            return
+        s = math.sin(angle) / angle
+        c = (1.0 - math.cos(angle)) / angle**2
+        for i in range(3):
+            for j in range(3):
+                e[i, j] = c * way[i] * way[j]
+            e[i, i] += math.cos(angle)
+        e[0, 1] -= s * way[2]
+        e[1, 0] += s * way[2]
+        e[0, 2] += s * way[1]
+        e[2, 0] -= s * way[1]
+        e[1, 2] -= s * way[0]
+        e[2, 1] += s * way[0]
+        for i in range(3):
+            for j in range(3):
+                b[i, j] = 0.0
+                for k in range(3):
+                    b[i, j] += e[i, k] * turn[k, j]
+        for i in range(3):
+            for j in range(3):
+                turn[i, j] = b[i, j]
+        if angle < 1e-6:
+            return  # what is left is of the order of its square
+
+
 @kernel
-def relative_motion(before: Any, now: Any, nodes: Any, turn: Any, shift: Any, moved: Any) -> float:
-    """Largest way of a node [m] beyond the rigid motion ``turn @ before + shift``.
+def relative_motion(before: Any, now: Any, nodes: Any, moved: Any) -> float:
+    """Largest way of a node [m] beyond the rigid motion that fits all of them best.
 
     `before` (count, 3) are positions of `nodes` then, `now` (node_count, 3) those of all; `moved`
-    (node_count,) receives the ways of `nodes`.
+    (node_count,) receives the ways of `nodes`. Any rigid motion would do for a bound, so it does
+    not matter how well the best one is met.
     """
+    count = nodes.shape[0]
+    first = np.zeros(3)
+    second = np.zeros(3)
+    for k in range(count):
+        for i in range(3):
+            first[i] += before[k, i]
+            second[i] += now[nodes[k], i]
+    for i in range(3):
+        first[i] /= count
+        second[i] /= count
+    m00 = m01 = m02 = m10 = m11 = m12 = m20 = m21 = m22 = 0.0
+    for k in range(count):
+        node = nodes[k]
+        b0 = before[k, 0] - first[0]
+        b1 = before[k, 1] - first[1]
+        b2 = before[k, 2] - first[2]
+        n0 = now[node, 0] - second[0]
+        n1 = now[node, 1] - second[1]
+        n2 = now[node, 2] - second[2]
+        m00 += n0 * b0
+        m01 += n0 * b1
+        m02 += n0 * b2
+        m10 += n1 * b0
+        m11 += n1 * b1
+        m12 += n1 * b2
+        m20 += n2 * b0
+        m21 += n2 * b1
+        m22 += n2 * b2
+    moments = np.array([[m00, m01, m02], [m10, m11, m12], [m20, m21, m22]])
+    turn = np.empty((3, 3))
+    _best_turn(moments, turn)
     largest = 0.0
-    for k in range(nodes.shape[0]):
+    for k in range(count):
+        node = nodes[k]
         square = 0.0
         for i in range(3):
-            r = now[nodes[k], i] - shift[i]
+            r = now[node, i] - second[i]
             for j in range(3):
-                r -= turn[i, j] * before[k, j]
+                r -= turn[i, j] * (before[k, j] - first[j])
             square += r * r
-        moved[nodes[k]] = math.sqrt(square)
-        largest = max(largest, moved[nodes[k]])
-    return largest
-
-
-@kernel
-def rigid_fit_sums(before: Any, now: Any, nodes: Any, out: Any) -> None:
-    """Fill `out` (5, 3): means of `before` and now, and the covariance of both (3, 3)."""
-    out[:] = 0.0
-    for k in range(nodes.shape[0]):
-        for i in range(3):
-            out[0, i] += before[k, i]
-            out[1, i] += now[nodes[k], i]
-    for i in range(3):
-        out[0, i] /= nodes.shape[0]
-        out[1, i] /= nodes.shape[0]
-    for k in range(nodes.shape[0]):
-        for i in range(3):
-            for j in range(3):
-                out[2 + i, j] += (now[nodes[k], i] - out[1, i]) * (before[k, j] - out[0, j])
+        moved[node] = math.sqrt(square)
+        largest = max(largest, square)
+    return math.sqrt(largest)

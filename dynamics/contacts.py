@@ -47,7 +47,7 @@ class DynamicContact(Protocol):
     def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """Search again if motion asks for it; `travel` [m] bounds a node's way since the last.
 
-        Returns whether it did: `add_rates` knows of no other faces than those found last.
+        Returns whether faces are near that `add_rates` did not know of, or no longer some it did.
         """
         ...
 

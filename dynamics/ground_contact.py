@@ -128,8 +128,9 @@ class GroundContact:
         history["way"][0] += self.reach * travel
         if history["way"][0] <= self.skin:
             return False
+        before = history["active"][: history["count"][0]].copy()
         self._search(x, history)
-        return True
+        return not np.array_equal(before, history["active"][: history["count"][0]])
 
     def add_forces(
         self,

@@ -42,6 +42,8 @@ from flexapod.dynamics.workspace import (
 INTERNAL, PRESSURE, DISSIPATIVE, MASS_DAMPING, VISCOUS, BROKEN = 1, 2, 3, 4, 5, 6
 FASTEST = 6
 WORKS = slice(1, 6)
+# Steps after which one that is short for contact's sake is chosen anew.
+PATIENCE = 32
 
 
 @dataclass(frozen=True)
@@ -326,7 +328,7 @@ def place_owned(model: Model, state: State) -> None:
 def drift(model: Model, state: State, work: Workspace, dt: float) -> None:
     """Advance all positions by `dt` [s]."""
     rigid = model.rigid
-    kernels.drift(dt, model.owner, model.nodes, state.v, state.u, state.x)
+    kernels.drift(dt, model.nodes, state.v, state.u, state.x)
     if rigid.names:
         rigid_kernels.drift(
             dt,
@@ -542,6 +544,7 @@ def march(
             stats.smallest_step = min(stats.smallest_step, dt)
             stats.largest_step = max(stats.largest_step, dt)
             done = 0
+            may_recover = work.touched and options.time_step is None and model.lines is None
             while done < count:
                 state.time = begin + done * dt
                 step(model, state, work, dt, _bound(first, state))
@@ -550,8 +553,10 @@ def march(
                 depths = [float(c.totals[DEPTH]) for c in model.contacts]
                 stats.deepest = max([stats.deepest, *depths])
                 deeper = any(d > a for d, a in zip(depths, allowed, strict=True))
-                # Faces found since then have no share in the step chosen before.
-                if (deeper or work.unforeseen) and done < count:
+                # Faces found since then have no share in the step chosen before; and where contact
+                # makes it short it may be over soon.
+                again = deeper or work.unforeseen or (may_recover and done >= PATIENCE)
+                if again and done < count:
                     break
                 if fast is not None and done < count:
                     walked, deepest, end = fast.march(begin + done * dt, dt, count - done, allowed)

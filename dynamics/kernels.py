@@ -239,28 +239,35 @@ def owned_work(
     out: Any,
 ) -> None:
     """Add the work of forces on nodes of rigid bodies to `out` (7,), entries as of `kick`."""
+    by_internal, by_pressure, by_dissipative, by_viscous = out[1], out[2], out[3], out[5]
+    fastest = out[6]
     for k in range(owned.shape[0]):
         node = owned[k]
         speed = 0.0
         for i in range(3):
             way = 0.5 * h * (before[k, i] + v[node, i])
-            out[1] -= internal[node, i] * way
-            out[2] += pressure[node, i] * way
-            out[3] += dissipative[node, i] * way
-            out[5] -= viscous[node, i] * way
+            by_internal -= internal[node, i] * way
+            by_pressure += pressure[node, i] * way
+            by_dissipative += dissipative[node, i] * way
+            by_viscous -= viscous[node, i] * way
             speed += v[node, i] * v[node, i]
-        out[6] = max(out[6], speed)
+        fastest = max(fastest, speed)
+    out[1], out[2], out[3], out[5] = by_internal, by_pressure, by_dissipative, by_viscous
+    out[6] = fastest
 
 
-@parallel_kernel
-def drift(dt: float, owner: Any, nodes: Any, v: Any, u: Any, x: Any) -> None:
-    """Move free nodes: ``u += dt v`` and ``x = nodes + u``, all (node_count, 3)."""
-    for node in numba.prange(x.shape[0]):
-        if owner[node] >= 0:
-            continue
-        for i in range(3):
-            u[node, i] += dt * v[node, i]
-            x[node, i] = nodes[node, i] + u[node, i]
+@kernel
+def drift(dt: float, nodes: Any, v: Any, u: Any, x: Any) -> None:
+    """Move nodes: ``u += dt v`` and ``x = nodes + u``, all (node_count, 3).
+
+    Those of rigid bodies too, in vain: they are put in their places afterwards. To share out so
+    little work among threads takes longer than to do it.
+    """
+    rest, way, at, place = nodes.reshape(-1), v.reshape(-1), u.reshape(-1), x.reshape(-1)
+    for k in range(at.shape[0]):
+        moved = at[k] + dt * way[k]
+        at[k] = moved
+        place[k] = rest[k] + moved
 
 
 @kernel
@@ -272,12 +279,12 @@ def owned_displacement(owned: Any, nodes: Any, x: Any, u: Any) -> None:
             u[node, i] = x[node, i] - nodes[node, i]
 
 
-@parallel_kernel
+@kernel
 def shifted(u: Any, v: Any, time: float, out: Any) -> None:
     """``out = u + time v``: where the internal force carries stiffness damping."""
-    for node in numba.prange(u.shape[0]):
-        for i in range(3):
-            out[node, i] = u[node, i] + time * v[node, i]
+    at, way, to = u.reshape(-1), v.reshape(-1), out.reshape(-1)
+    for k in range(at.shape[0]):
+        to[k] = at[k] + time * way[k]
 
 
 @kernel

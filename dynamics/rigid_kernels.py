@@ -128,21 +128,30 @@ def sum_loads(x: Any, force: Any, owned_nodes: Any, owner: Any, rigid_x: Any, lo
     the other: the same bits every time.
     """
     load[:] = 0.0
-    for n in range(owned_nodes.shape[0]):
-        node = owned_nodes[n]
-        k = owner[node]
-        r0 = x[node, 0] - rigid_x[k, 0]
-        r1 = x[node, 1] - rigid_x[k, 1]
-        r2 = x[node, 2] - rigid_x[k, 2]
-        f0 = force[node, 0]
-        f1 = force[node, 1]
-        f2 = force[node, 2]
-        load[k, 0] += f0
-        load[k, 1] += f1
-        load[k, 2] += f2
-        load[k, 3] += r1 * f2 - r2 * f1
-        load[k, 4] += r2 * f0 - r0 * f2
-        load[k, 5] += r0 * f1 - r1 * f0
+    n = 0
+    while n < owned_nodes.shape[0]:
+        # Nodes of one body follow each other: their sums stay in registers.
+        k = owner[owned_nodes[n]]
+        x0, x1, x2 = rigid_x[k, 0], rigid_x[k, 1], rigid_x[k, 2]
+        l0, l1, l2 = load[k, 0], load[k, 1], load[k, 2]
+        l3, l4, l5 = load[k, 3], load[k, 4], load[k, 5]
+        while n < owned_nodes.shape[0] and owner[owned_nodes[n]] == k:
+            node = owned_nodes[n]
+            r0 = x[node, 0] - x0
+            r1 = x[node, 1] - x1
+            r2 = x[node, 2] - x2
+            f0 = force[node, 0]
+            f1 = force[node, 1]
+            f2 = force[node, 2]
+            l0 += f0
+            l1 += f1
+            l2 += f2
+            l3 += r1 * f2 - r2 * f1
+            l4 += r2 * f0 - r0 * f2
+            l5 += r0 * f1 - r1 * f0
+            n += 1
+        load[k, 0], load[k, 1], load[k, 2] = l0, l1, l2
+        load[k, 3], load[k, 4], load[k, 5] = l3, l4, l5
 
 
 @kernel
@@ -222,19 +231,29 @@ def place(
     a = np.empty((3, 3))
     for k in range(count):
         _angular_velocity(inertia[k], free[k], rigid_q[k], rigid_l[k], rotation[k], a, omega[k])
-    for n in range(owned_nodes.shape[0]):
-        node = owned_nodes[n]
-        k = owner[node]
+    n = 0
+    while n < owned_nodes.shape[0]:
+        k = owner[owned_nodes[n]]
         r = rotation[k]
-        r0 = r[0, 0] * local[node, 0] + r[0, 1] * local[node, 1] + r[0, 2] * local[node, 2]
-        r1 = r[1, 0] * local[node, 0] + r[1, 1] * local[node, 1] + r[1, 2] * local[node, 2]
-        r2 = r[2, 0] * local[node, 0] + r[2, 1] * local[node, 1] + r[2, 2] * local[node, 2]
-        x[node, 0] = rigid_x[k, 0] + r0
-        x[node, 1] = rigid_x[k, 1] + r1
-        x[node, 2] = rigid_x[k, 2] + r2
-        v[node, 0] = rigid_v[k, 0] + omega[k, 1] * r2 - omega[k, 2] * r1
-        v[node, 1] = rigid_v[k, 1] + omega[k, 2] * r0 - omega[k, 0] * r2
-        v[node, 2] = rigid_v[k, 2] + omega[k, 0] * r1 - omega[k, 1] * r0
+        r00, r01, r02 = r[0, 0], r[0, 1], r[0, 2]
+        r10, r11, r12 = r[1, 0], r[1, 1], r[1, 2]
+        r20, r21, r22 = r[2, 0], r[2, 1], r[2, 2]
+        x0, x1, x2 = rigid_x[k, 0], rigid_x[k, 1], rigid_x[k, 2]
+        v0, v1, v2 = rigid_v[k, 0], rigid_v[k, 1], rigid_v[k, 2]
+        w0, w1, w2 = omega[k, 0], omega[k, 1], omega[k, 2]
+        while n < owned_nodes.shape[0] and owner[owned_nodes[n]] == k:
+            node = owned_nodes[n]
+            p0, p1, p2 = local[node, 0], local[node, 1], local[node, 2]
+            a0 = r00 * p0 + r01 * p1 + r02 * p2
+            a1 = r10 * p0 + r11 * p1 + r12 * p2
+            a2 = r20 * p0 + r21 * p1 + r22 * p2
+            x[node, 0] = x0 + a0
+            x[node, 1] = x1 + a1
+            x[node, 2] = x2 + a2
+            v[node, 0] = v0 + w1 * a2 - w2 * a1
+            v[node, 1] = v1 + w2 * a0 - w0 * a2
+            v[node, 2] = v2 + w0 * a1 - w1 * a0
+            n += 1
 
 
 @kernel

@@ -14,6 +14,9 @@ from flexapod.dynamics.model import Model, State
 from flexapod.dynamics.workspace import Workspace
 from flexapod.fem import kernels as fem_kernels
 
+# Contact shortens the step where the frequency is so many times that of elements and joints.
+TOUCHED = 1.1
+
 
 def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = True) -> float:
     """Upper bound of the highest angular frequency at the current state [rad/s].
@@ -45,14 +48,14 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
             model.nodes, state.lines, work.inverse_mass, work.springs, work.dashpots
         )
     _gather_owned(model, work)
-    square = 0.0
+    square = alone = 0.0
     if work.joint_rates is not None:
         # The bodies they hold may be in elements and in contact too: bounds of sums add up.
         spring, dashpot = work.joint_rates
         owner = model.owner[model.owned]
         work.springs[model.owned] += spring[owner]
         work.dashpots[model.owned] += dashpot[owner]
-        square = float(_squared(spring, dashpot).max())  # bodies without nodes count too
+        square = alone = float(_squared(spring, dashpot).max())  # bodies without nodes count too
     square = max(square, float(_squared(work.springs, work.dashpots).max(initial=0.0)))
     if model.internal is not None:
         if anew:
@@ -68,6 +71,8 @@ def highest_frequency(model: Model, state: State, work: Workspace, anew: bool = 
                 f"({place[0]:.4g}, {place[1]:.4g}, {place[2]:.4g}) m has no finite stiffness",
             )
         square = max(square, float(work.rates[worst]))
+        alone = max(alone, float(work.elements.max()))
+    work.touched = math.sqrt(square) > TOUCHED * math.sqrt(alone)
     return math.sqrt(square)
 
 

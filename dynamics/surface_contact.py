@@ -167,7 +167,7 @@ class SurfaceContact:
     def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """See `DynamicContact`."""
         history["gone"][0] += travel
-        searched = self._measure(x, history, travel)
+        self._measure(x, history, travel)
         late = 0
         for k, p in enumerate(self.passes):
             late += track_kernels.track_partners(
@@ -193,10 +193,11 @@ class SurfaceContact:
                 history[f"gap{k}"],
                 history[f"fade{k}"],
             )
-        return searched or late > 0
+        # A search may have found more faces: those that are near enough to matter are late too.
+        return late > 0
 
-    def _measure(self, x: np.ndarray, history: History, travel: float) -> bool:
-        """Count the ways of near faces, and search where a search is due; returns whether it was.
+    def _measure(self, x: np.ndarray, history: History, travel: float) -> None:
+        """Count the ways of near faces, and search where a search is due.
 
         Relative motion is measured when any node may have gone far enough at all, and when half of
         what is left would be used up at the pace so far.
@@ -206,7 +207,7 @@ class SurfaceContact:
         history["way"][0] += travel
         age = int(history["age"][0])
         if history["way"][0] <= limit or age < history["next"][0]:
-            return False
+            return
         moved = self._relative_motion(history["x_near"], x)
         left = limit - moved
         if left > 0.2 * limit:
@@ -214,7 +215,7 @@ class SurfaceContact:
             # Nor longer than it takes the fastest node to go as far as ways may go uncounted.
             wait = min(wait, self.check_every, int(limit / max(travel, 1e-300)))
             history["next"][0] = age + max(wait, 1)
-            return False
+            return
         for k, p in enumerate(self.passes):
             track_kernels.add_ways(
                 p.slaves,
@@ -229,8 +230,7 @@ class SurfaceContact:
         history["since"][0] += moved
         if history["since"][0] > SEARCH_SHARE * self.skin:
             history["since"][0] = self._relative_motion(history["x"], x)
-        searched = bool(history["since"][0] > SEARCH_SHARE * self.skin)
-        if searched:
+        if history["since"][0] > SEARCH_SHARE * self.skin:
             self._search(x, history)
         else:
             np.take(x, self.watched, axis=0, out=history["x_near"], mode="clip")
@@ -238,22 +238,10 @@ class SurfaceContact:
         history["age"][0] = 0
         wait = min(age // 2, self.check_every, int(limit / max(travel, 1e-300)))
         history["next"][0] = max(wait, 1)
-        return searched
 
     def _relative_motion(self, before: np.ndarray, x: np.ndarray) -> float:
-        """Largest way of a node [m] beyond the rigid motion that fits all of them best.
-
-        `_moved` has the way of each.
-        """
-        sums = np.empty((5, 3))
-        track_kernels.rigid_fit_sums(before, x, self.watched, sums)
-        left, _, right = np.linalg.svd(sums[2:])
-        if np.linalg.det(left @ right) < 0.0:
-            left[:, -1] *= -1.0
-        turn = left @ right
-        return track_kernels.relative_motion(
-            before, x, self.watched, turn, sums[1] - turn @ sums[0], self._moved
-        )
+        """Largest way of a node [m] beyond a rigid motion; `_moved` has the way of each."""
+        return float(track_kernels.relative_motion(before, x, self.watched, self._moved))
 
     def add_forces(
         self,

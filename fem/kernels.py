@@ -28,6 +28,7 @@ import numba
 import numpy as np
 
 from flexapod.core.jit import inline_kernel, kernel, parallel_kernel
+from flexapod.fem.lane_kernels import FLAGS, wide_vectors
 from flexapod.materials.kernels import (
     isochoric_stress,
     isochoric_tangent,
@@ -42,6 +43,13 @@ PAIR_COUNT = 36
 PAIR_OF = np.zeros((8, 8), dtype=np.int64)
 PAIR_OF[PAIR_A, PAIR_B] = np.arange(PAIR_COUNT)
 PAIR_OF[PAIR_B, PAIR_A] = np.arange(PAIR_COUNT)
+
+# Rows of `element_tangents`' scratch: an entry per pair and, so that whole vectors fill them, some
+# more that repeat the last pair. First 3 components at corner a, then at b, then 9 of the blocks.
+P = 40
+_LANE_A = np.append(PAIR_A, [7] * (P - PAIR_COUNT)).astype(np.int64)
+_LANE_B = np.append(PAIR_B, [7] * (P - PAIR_COUNT)).astype(np.int64)
+ROW_A, ROW_B, ROW_K, ROWS = 0, 3 * P, 6 * P, 15 * P
 
 
 @inline_kernel
@@ -90,6 +98,56 @@ def _left_cauchy_green(f: Any, b: Any) -> None:
             b[i, j] = f[i, 0] * f[j, 0] + f[i, 1] * f[j, 1] + f[i, 2] * f[j, 2]
 
 
+@numba.njit(**FLAGS)
+def _add_pairs(t: Any, count: int, m: Any, n: Any) -> None:
+    """Add to the blocks of all pairs in the scratch `t` what one point gives.
+
+    `m` (15,) are the weighted moduli in principal axes, see `element_tangents`, `n` (3, 3) the
+    axes in columns.
+    """
+    wide_vectors()
+    a00, a11, a22 = m[0], m[1], m[2]
+    s01, s02, s10, s12, s20, s21 = m[3], m[4], m[5], m[6], m[7], m[8]
+    n01, n02, n12, h01, h02, h12 = m[9], m[10], m[11], m[12], m[13], m[14]
+    x0, y0, z0 = n[0, 0], n[0, 1], n[0, 2]
+    x1, y1, z1 = n[1, 0], n[1, 1], n[1, 2]
+    x2, y2, z2 = n[2, 0], n[2, 1], n[2, 2]
+    for k in range(count):
+        b0, b1, b2 = t[ROW_A + k], t[ROW_A + P + k], t[ROW_A + 2 * P + k]
+        c0, c1, c2 = t[ROW_B + k], t[ROW_B + P + k], t[ROW_B + 2 * P + k]
+        m0, m1, m2 = b0 * c0, b1 * c1, b2 * c2
+        m01, m10 = b0 * c1, b1 * c0
+        m02, m20 = b0 * c2, b2 * c0
+        m12, m21 = b1 * c2, b2 * c1
+        k00 = a00 * m0 + s01 * m1 + s02 * m2
+        k11 = s10 * m0 + a11 * m1 + s12 * m2
+        k22 = s20 * m0 + s21 * m1 + a22 * m2
+        k01 = n01 * m01 + h01 * m10
+        k10 = n01 * m10 + h01 * m01
+        k02 = n02 * m02 + h02 * m20
+        k20 = n02 * m20 + h02 * m02
+        k12 = n12 * m12 + h12 * m21
+        k21 = n12 * m21 + h12 * m12
+        r0 = k00 * x0 + k01 * y0 + k02 * z0
+        r1 = k10 * x0 + k11 * y0 + k12 * z0
+        r2 = k20 * x0 + k21 * y0 + k22 * z0
+        t[ROW_K + k] += x0 * r0 + y0 * r1 + z0 * r2
+        t[ROW_K + 3 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 6 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+        r0 = k00 * x1 + k01 * y1 + k02 * z1
+        r1 = k10 * x1 + k11 * y1 + k12 * z1
+        r2 = k20 * x1 + k21 * y1 + k22 * z1
+        t[ROW_K + P + k] += x0 * r0 + y0 * r1 + z0 * r2
+        t[ROW_K + 4 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 7 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+        r0 = k00 * x2 + k01 * y2 + k02 * z2
+        r1 = k10 * x2 + k11 * y2 + k12 * z2
+        r2 = k20 * x2 + k21 * y2 + k22 * z2
+        t[ROW_K + 2 * P + k] += x0 * r0 + y0 * r1 + z0 * r2
+        t[ROW_K + 5 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 8 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+
+
 @parallel_kernel
 def element_tangents(
     u: Any,
@@ -127,8 +185,8 @@ def element_tangents(
         g = np.empty((8, 3))
         d = np.empty((3, 3))
         s = np.empty((3, 3))
-        kp = np.empty((3, 3))
-        kr = np.empty((3, 3))
+        t = np.empty(ROWS)
+        moduli = np.empty(15)
         for e in range(block * chunk, min((block + 1) * chunk, cell_count)):
             m = material[e]
             for a in range(8):
@@ -143,10 +201,7 @@ def element_tangents(
                 mean_j += weights[e, q] * jac[q]
             mean_j /= volume
             p = pressure[e]
-            for k in range(PAIR_COUNT):
-                for i in range(3):
-                    for j in range(3):
-                        out[e, k, i, j] = 0.0
+            t[ROW_K:] = 0.0
             for q in range(8):
                 w = weights[e, q]
                 _spatial_gradients(f[q], gradients[e, q], b)
@@ -163,60 +218,34 @@ def element_tangents(
                     for i in range(3):
                         g[a, i] += w * jac[q] * b[a, i]
                         bp[a, i] = n[0, i] * b[a, 0] + n[1, i] * b[a, 1] + n[2, i] * b[a, 2]
-                a00 = w * (d[0, 0] - tau[0] + dj)
-                a11 = w * (d[1, 1] - tau[1] + dj)
-                a22 = w * (d[2, 2] - tau[2] + dj)
-                s01 = w * s[0, 1]
-                s02 = w * s[0, 2]
-                s10 = w * s[1, 0]
-                s12 = w * s[1, 2]
-                s20 = w * s[2, 0]
-                s21 = w * s[2, 1]
-                n01 = w * (d[0, 1] + pj + dj)
-                n02 = w * (d[0, 2] + pj + dj)
-                n12 = w * (d[1, 2] + pj + dj)
-                h01 = w * (s[0, 1] - tau[1] - pj)
-                h02 = w * (s[0, 2] - tau[2] - pj)
-                h12 = w * (s[1, 2] - tau[2] - pj)
-                k = 0
-                for a in range(8):
-                    ba0 = bp[a, 0]
-                    ba1 = bp[a, 1]
-                    ba2 = bp[a, 2]
-                    for bb in range(a, 8):
-                        bb0 = bp[bb, 0]
-                        bb1 = bp[bb, 1]
-                        bb2 = bp[bb, 2]
-                        m0 = ba0 * bb0
-                        m1 = ba1 * bb1
-                        m2 = ba2 * bb2
-                        kp[0, 0] = a00 * m0 + s01 * m1 + s02 * m2
-                        kp[1, 1] = s10 * m0 + a11 * m1 + s12 * m2
-                        kp[2, 2] = s20 * m0 + s21 * m1 + a22 * m2
-                        kp[0, 1] = n01 * ba0 * bb1 + h01 * ba1 * bb0
-                        kp[1, 0] = n01 * ba1 * bb0 + h01 * ba0 * bb1
-                        kp[0, 2] = n02 * ba0 * bb2 + h02 * ba2 * bb0
-                        kp[2, 0] = n02 * ba2 * bb0 + h02 * ba0 * bb2
-                        kp[1, 2] = n12 * ba1 * bb2 + h12 * ba2 * bb1
-                        kp[2, 1] = n12 * ba2 * bb1 + h12 * ba1 * bb2
-                        for i in range(3):
-                            for j in range(3):
-                                kr[i, j] = (
-                                    kp[i, 0] * n[j, 0] + kp[i, 1] * n[j, 1] + kp[i, 2] * n[j, 2]
-                                )
-                        for i in range(3):
-                            for j in range(3):
-                                out[e, k, i, j] += (
-                                    n[i, 0] * kr[0, j] + n[i, 1] * kr[1, j] + n[i, 2] * kr[2, j]
-                                )
-                        k += 1
+                moduli[0] = w * (d[0, 0] - tau[0] + dj)
+                moduli[1] = w * (d[1, 1] - tau[1] + dj)
+                moduli[2] = w * (d[2, 2] - tau[2] + dj)
+                moduli[3] = w * s[0, 1]
+                moduli[4] = w * s[0, 2]
+                moduli[5] = w * s[1, 0]
+                moduli[6] = w * s[1, 2]
+                moduli[7] = w * s[2, 0]
+                moduli[8] = w * s[2, 1]
+                moduli[9] = w * (d[0, 1] + pj + dj)
+                moduli[10] = w * (d[0, 2] + pj + dj)
+                moduli[11] = w * (d[1, 2] + pj + dj)
+                moduli[12] = w * (s[0, 1] - tau[1] - pj)
+                moduli[13] = w * (s[0, 2] - tau[2] - pj)
+                moduli[14] = w * (s[1, 2] - tau[2] - pj)
+                for i in range(3):
+                    for k in range(P):
+                        t[ROW_A + i * P + k] = bp[_LANE_A[k], i]
+                        t[ROW_B + i * P + k] = bp[_LANE_B[k], i]
+                _add_pairs(t, P, moduli, n)
             factor = volumetric_modulus(kappa[m], mean_j) / volume
             k = 0
             for a in range(8):
                 for bb in range(a, 8):
                     for i in range(3):
                         for j in range(3):
-                            out[e, k, i, j] += factor * g[a, i] * g[bb, j]
+                            own = t[ROW_K + (3 * i + j) * P + k]
+                            out[e, k, i, j] = own + factor * g[a, i] * g[bb, j]
                     k += 1
 
 

@@ -76,6 +76,12 @@ def isochoric_stress(
 
 
 @inline_kernel
+def _ratio(a: float, x: float, grown: float) -> float:
+    """``(exp(a x) - 1)/(exp(2 x) - 1)`` with its denominator `grown`, for every x."""
+    return 0.5 * a if abs(x) < 1e-12 else math.expm1(a * x) / grown
+
+
+@inline_kernel
 def isochoric_tangent(
     mu: Any, alpha: Any, c: Any, e1: float, e2: float, e3: float, d: Any, s: Any
 ) -> None:
@@ -85,12 +91,13 @@ def isochoric_tangent(
     tangent. It is formed from ``expm1`` ratios, so it is exact for equal stretches too: no
     stretch is perturbed.
     """
-    e = (e1, e2, e3)
     m = (e1 + e2 + e3) / 3.0
     for i in range(3):
         for j in range(3):
             d[i, j] = 0.0
             s[i, j] = 0.0
+    x01, x02, x12 = e1 - e2, e1 - e3, e2 - e3
+    grown01, grown02, grown12 = math.expm1(2.0 * x01), math.expm1(2.0 * x02), math.expm1(2.0 * x12)
     for k in range(mu.shape[0]):
         a = alpha[k]
         p = (
@@ -103,13 +110,13 @@ def isochoric_tangent(
             d[i, i] += a * p[i]
             for j in range(3):
                 d[i, j] += a * (total / 9.0 - (p[i] + p[j]) / 3.0)
-                if i != j:
-                    x = e[i] - e[j]
-                    if abs(x) < 1e-12:
-                        quotient = 0.5 * a
-                    else:
-                        quotient = math.expm1(a * x) / math.expm1(2.0 * x)
-                    s[i, j] += p[j] * quotient
+        s[0, 1] += p[1] * _ratio(a, x01, grown01)
+        s[0, 2] += p[2] * _ratio(a, x02, grown02)
+        s[1, 2] += p[2] * _ratio(a, x12, grown12)
+    # Both quotients of a pair have the same numerator.
+    s[1, 0] = s[0, 1] * (1.0 + grown01)
+    s[2, 0] = s[0, 2] * (1.0 + grown02)
+    s[2, 1] = s[1, 2] * (1.0 + grown12)
     if c[0] != 0.0 or c[1] != 0.0 or c[2] != 0.0:
         q = (math.exp(2.0 * (e1 - m)), math.exp(2.0 * (e2 - m)), math.exp(2.0 * (e3 - m)))
         i1 = q[0] + q[1] + q[2]

@@ -201,3 +201,30 @@ def test_what_comes_near_without_a_share_is_noticed_before_it_touches() -> None:
     assert springs.all()
     contact.allow(history, RATE_MARGIN, springs, dashpots, none, 1e4)
     assert not contact.prepare(x, history, 1e-5)
+
+
+@pytest.mark.parametrize("angle", [1e-6, 1e-3, 0.3, 1.2])
+@pytest.mark.parametrize("extent", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.0), (1.0, 0.0, 0.0)])
+def test_ways_are_counted_from_the_best_rigid_motion(
+    angle: float, extent: tuple[float, float, float]
+) -> None:
+    """Against the singular values' fit (Kabsch), for solid, flat and straight sets of nodes."""
+    rng = np.random.default_rng(5)
+    before = 0.1 * rng.standard_normal((50, 3)) * extent
+    axis = np.array([0.36, 0.48, 0.8])
+    cross = np.cross(np.eye(3), axis)
+    turn = np.eye(3) - np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    x = np.zeros((60, 3))
+    nodes = np.arange(5, 55)
+    x[nodes] = before @ turn.T + [1.0, -2.0, 3.0] + 1e-5 * rng.standard_normal((50, 3))
+    moved = np.zeros(60)
+    largest = track_kernels.relative_motion(before, x, nodes, moved)
+
+    then, now = before - before.mean(axis=0), x[nodes] - x[nodes].mean(axis=0)
+    left, _, right = np.linalg.svd(now.T @ then)
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))
+    away = np.linalg.norm(now - then @ (left @ right).T, axis=1)
+    assert largest == moved.max()
+    # What turns about a straight line changes no distance by more than the noise's square.
+    np.testing.assert_allclose(moved[nodes], away, rtol=0.0, atol=1e-3 * 1e-5)
+    assert not moved[:5].any() and not moved[55:].any()

