@@ -324,8 +324,8 @@ def test_nothing_passes_through_anything_in_1e5_steps_of_crumpling() -> None:
     # Contact is felt at points within the faces, 1 - 1/sqrt(3) of half their length from the rim:
     # the node of a corner of 90 degrees, as at the ends, may be deeper by that times sin 45. A
     # corner squeezed sharper may be deeper still, for moments: the motion is chaotic, and of ten
-    # runs whose starts differ by some nanometres seven had nodes up to 0.49 mm deep, in 0.1 to 1.1 %
-    # of the looks. 2 % leaves a factor of two; never through the wall.
+    # runs whose starts differ by nanometres seven had nodes up to 0.49 mm deep, in 0.1 to 1.1 % of
+    # the looks. 2 % leaves a factor of two; never through the wall.
     corner = (1.0 - 1.0 / math.sqrt(3.0)) * 0.5 * THICK * math.sqrt(0.5)
     over = sum(d > contact.deepest + corner for d, _ in seen)
     assert over < 0.02 * len(seen), f"{over} of {len(seen)} looks"
