@@ -470,16 +470,23 @@ def allowed_depths(
 def _best_turn(moments: Any, turn: Any) -> None:
     """Fill `turn` (3, 3) with the rotation R of the largest sum of ``R * moments``.
 
-    Newton's method on the group of rotations, and where it would leave the maximum the step of
-    M. Mueller, J. Bender, N. Chentanez & M. Macklin, A robust method to extract the rotational part
-    of deformations, 2016, doi:10.1145/2994258.2994269, which always leads to it.
+    Newton's method on the group of rotations, a radian a step at most, and where it would lead
+    away from the maximum the step of M. Mueller, J. Bender, N. Chentanez & M. Macklin, A robust
+    method to extract the rotational part of deformations, 2016, doi:10.1145/2994258.2994269. Turns
+    of more than some 1.5 rad of slender sets may not be found within `TURN_STEPS`.
     """
+    scale = 0.0
+    for i in range(3):
+        for j in range(3):
+            scale = max(scale, abs(moments[i, j]))
     b = np.empty((3, 3))
     e = np.empty((3, 3))
     way = np.empty(3)
     for i in range(3):
         for j in range(3):
             turn[i, j] = 1.0 if i == j else 0.0
+    if not scale > 0.0:
+        return
     for _ in range(TURN_STEPS):
         for i in range(3):
             for j in range(3):
@@ -505,20 +512,25 @@ def _best_turn(moments: Any, turn: Any) -> None:
         l21 = c21 / d1
         d2 = a22 - l20 * a20 - l21 * c21
         least = 1e-9 * size
-        if a00 > least and d1 > least and d2 > least:
+        newton = a00 > least and d1 > least and d2 > least
+        if newton:
             way[0] = g0
             way[1] = g1 - l10 * way[0]
             way[2] = (g2 - l20 * way[0] - l21 * way[1]) / d2
             way[1] = way[1] / d1 - l21 * way[2]
             way[0] = way[0] / a00 - l10 * way[1] - l20 * way[2]
         else:
-            scale = 1.0 / (abs(trace) + 1e-9 * size + 1e-300)
-            way[0] = scale * g0
-            way[1] = scale * g1
-            way[2] = scale * g2
+            share = 1.0 / (abs(trace) + 1e-9 * scale)
+            way[0] = share * g0
+            way[1] = share * g1
+            way[2] = share * g2
         angle = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
         if not angle > 1e-12:
             return
+        if angle > 1.0:
+            for i in range(3):
+                way[i] /= angle
+            angle = 1.0
         s = math.sin(angle) / angle
         c = (1.0 - math.cos(angle)) / angle**2
         for i in range(3):
@@ -539,7 +551,7 @@ def _best_turn(moments: Any, turn: Any) -> None:
         for i in range(3):
             for j in range(3):
                 turn[i, j] = b[i, j]
-        if angle < 1e-6:
+        if newton and angle < 1e-6:
             return  # what is left is of the order of its square
 
 
@@ -592,5 +604,6 @@ def relative_motion(before: Any, now: Any, nodes: Any, moved: Any) -> float:
                 r -= turn[i, j] * (before[k, j] - first[j])
             square += r * r
         moved[node] = math.sqrt(square)
-        largest = max(largest, square)
+        if not square <= largest:  # a NaN, too, is far
+            largest = square
     return math.sqrt(largest)

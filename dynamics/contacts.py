@@ -47,7 +47,8 @@ class DynamicContact(Protocol):
     def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """Search again if motion asks for it; `travel` [m] bounds a node's way since the last.
 
-        Returns whether faces are near that `add_rates` did not know of, or no longer some it did.
+        Returns whether the step has to be chosen anew for it: `add_rates` knows of what was near
+        before.
         """
         ...
 

@@ -120,17 +120,15 @@ class GroundContact:
         self._search(x, history)
         return history
 
-    def _search(self, x: np.ndarray, history: History) -> None:
-        line_kernels.search_ground(self._at_points(x, 0), self.packed(history))
+    def _search(self, x: np.ndarray, history: History) -> bool:
+        return bool(line_kernels.search_ground(self._at_points(x, 0), self.packed(history)))
 
     def prepare(self, x: np.ndarray, history: History, travel: float) -> bool:
         """See `DynamicContact`: a face out of the skin cannot arrive before it has crossed it."""
         history["way"][0] += self.reach * travel
         if history["way"][0] <= self.skin:
             return False
-        before = history["active"][: history["count"][0]].copy()
-        self._search(x, history)
-        return not np.array_equal(before, history["active"][: history["count"][0]])
+        return self._search(x, history)
 
     def add_forces(
         self,

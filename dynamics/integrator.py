@@ -533,7 +533,8 @@ def march(
         begin = state.interval * options.interval
         left, first = options.interval, record
         while left > 0.0:
-            # Again where contact is not what the step was chosen for: deeper, or of other faces.
+            # Again where contact is not what the step was chosen for: deeper, of other faces, or
+            # perhaps over.
             state.time = begin
             whole = left == options.interval
             work.clock.lap(REST)
@@ -544,6 +545,7 @@ def march(
             stats.smallest_step = min(stats.smallest_step, dt)
             stats.largest_step = max(stats.largest_step, dt)
             done = 0
+            # A march of lines goes on to the end in one kernel.
             may_recover = work.touched and options.time_step is None and model.lines is None
             while done < count:
                 state.time = begin + done * dt

@@ -477,8 +477,8 @@ def march(
     The steps of `integrator.step` for a model of line elements with one ground at most (none: no
     faces), without what happens at an interval's first step. `out` (3,) receives the steps done,
     the bound of a node's way in the last one [m] and the deepest point met [m]. It stops after a
-    step in which contact was deeper than `allowed` [m] or had looked for faces anew, and before one
-    that would fail.
+    step in which contact was deeper than `allowed` [m] or had looked for faces anew and found or
+    lost some, and before one that would fail.
     """
     out[0] = 0.0
     out[1] = travel
@@ -502,9 +502,8 @@ def march(
         searched = False
         if ground.faces.shape[0] > 0:
             ground.way[0] += ground.reach * out[1]
-            searched = ground.way[0] > ground.skin
-            if searched:
-                search_ground(x, ground)
+            if ground.way[0] > ground.skin:
+                searched = search_ground(x, ground)
         nodes.elastic[:] = 0.0
         nodes.dissipative[:] = 0.0
         if ground.faces.shape[0] > 0:
@@ -596,8 +595,12 @@ def march(
 
 
 @kernel
-def search_ground(x: Any, ground: GroundArrays) -> None:
-    """Find the faces near the ground anew; those that left it lose anchors and tractions."""
+def search_ground(x: Any, ground: GroundArrays) -> bool:
+    """Find the faces near the ground anew; those that left it lose anchors and tractions.
+
+    Returns whether any is or was near: what is high in the air has no share in the step.
+    """
+    before = ground.count[0]
     count = near_faces(
         x, ground.faces, ground.kind, ground.params, ground.heights, ground.skin, ground.active
     )
@@ -614,3 +617,4 @@ def search_ground(x: Any, ground: GroundArrays) -> None:
                 ground.pressure[f, q] = 0.0
                 for i in range(3):
                     ground.anchor[f, q, i] = math.nan
+    return before > 0 or count > 0

@@ -14,7 +14,8 @@ from flexapod.dynamics.model import Model, State
 from flexapod.dynamics.workspace import Workspace
 from flexapod.fem import kernels as fem_kernels
 
-# Contact shortens the step where the frequency is so many times that of elements and joints.
+# Contact (or bonds) shortens the step where the frequency is so many times that of elements or
+# joints alone.
 TOUCHED = 1.1
 
 

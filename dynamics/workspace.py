@@ -94,7 +94,7 @@ class Workspace:
         self.joint_spent = np.zeros(3)
         self.kinetic = 0.0
         self.unforeseen = False  # whether the last forces met contact the step does not allow for
-        self.touched = False  # whether contact makes the step shorter than it would be without
+        self.touched = False  # whether contact makes the step shorter, see `stable.TOUCHED`
         self.margins: list[float] = []  # depth the step allows for beyond each contact's own [m]
         self.rates = np.zeros(model.soft_cells.size)
         self.elements = np.zeros(model.soft_cells.size)

@@ -46,10 +46,10 @@ PAIR_OF[PAIR_B, PAIR_A] = np.arange(PAIR_COUNT)
 
 # Rows of `element_tangents`' scratch: an entry per pair and, so that whole vectors fill them, some
 # more that repeat the last pair. First 3 components at corner a, then at b, then 9 of the blocks.
-P = 40
-_LANE_A = np.append(PAIR_A, [7] * (P - PAIR_COUNT)).astype(np.int64)
-_LANE_B = np.append(PAIR_B, [7] * (P - PAIR_COUNT)).astype(np.int64)
-ROW_A, ROW_B, ROW_K, ROWS = 0, 3 * P, 6 * P, 15 * P
+PAIR_LANES = 40
+_LANE_A = np.append(PAIR_A, [7] * (PAIR_LANES - PAIR_COUNT)).astype(np.int64)
+_LANE_B = np.append(PAIR_B, [7] * (PAIR_LANES - PAIR_COUNT)).astype(np.int64)
+ROW_A, ROW_B, ROW_K, ROWS = 0, 3 * PAIR_LANES, 6 * PAIR_LANES, 15 * PAIR_LANES
 
 
 @inline_kernel
@@ -102,8 +102,9 @@ def _left_cauchy_green(f: Any, b: Any) -> None:
 def _add_pairs(t: Any, count: int, m: Any, n: Any) -> None:
     """Add to the blocks of all pairs in the scratch `t` what one point gives.
 
-    `m` (15,) are the weighted moduli in principal axes, see `element_tangents`, `n` (3, 3) the
-    axes in columns.
+    `m` (15,) are the point's weight times moduli in principal axes: on the diagonal 00, 11, 22,
+    then the shear quotients 01, 02, 10, 12, 20, 21, then 01, 02, 12 of the couplings of two
+    directions, direct and crossed. `n` (3, 3) has the axes in columns.
     """
     wide_vectors()
     a00, a11, a22 = m[0], m[1], m[2]
@@ -113,8 +114,8 @@ def _add_pairs(t: Any, count: int, m: Any, n: Any) -> None:
     x1, y1, z1 = n[1, 0], n[1, 1], n[1, 2]
     x2, y2, z2 = n[2, 0], n[2, 1], n[2, 2]
     for k in range(count):
-        b0, b1, b2 = t[ROW_A + k], t[ROW_A + P + k], t[ROW_A + 2 * P + k]
-        c0, c1, c2 = t[ROW_B + k], t[ROW_B + P + k], t[ROW_B + 2 * P + k]
+        b0, b1, b2 = t[ROW_A + k], t[ROW_A + PAIR_LANES + k], t[ROW_A + 2 * PAIR_LANES + k]
+        c0, c1, c2 = t[ROW_B + k], t[ROW_B + PAIR_LANES + k], t[ROW_B + 2 * PAIR_LANES + k]
         m0, m1, m2 = b0 * c0, b1 * c1, b2 * c2
         m01, m10 = b0 * c1, b1 * c0
         m02, m20 = b0 * c2, b2 * c0
@@ -132,20 +133,20 @@ def _add_pairs(t: Any, count: int, m: Any, n: Any) -> None:
         r1 = k10 * x0 + k11 * y0 + k12 * z0
         r2 = k20 * x0 + k21 * y0 + k22 * z0
         t[ROW_K + k] += x0 * r0 + y0 * r1 + z0 * r2
-        t[ROW_K + 3 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
-        t[ROW_K + 6 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+        t[ROW_K + 3 * PAIR_LANES + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 6 * PAIR_LANES + k] += x2 * r0 + y2 * r1 + z2 * r2
         r0 = k00 * x1 + k01 * y1 + k02 * z1
         r1 = k10 * x1 + k11 * y1 + k12 * z1
         r2 = k20 * x1 + k21 * y1 + k22 * z1
-        t[ROW_K + P + k] += x0 * r0 + y0 * r1 + z0 * r2
-        t[ROW_K + 4 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
-        t[ROW_K + 7 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+        t[ROW_K + PAIR_LANES + k] += x0 * r0 + y0 * r1 + z0 * r2
+        t[ROW_K + 4 * PAIR_LANES + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 7 * PAIR_LANES + k] += x2 * r0 + y2 * r1 + z2 * r2
         r0 = k00 * x2 + k01 * y2 + k02 * z2
         r1 = k10 * x2 + k11 * y2 + k12 * z2
         r2 = k20 * x2 + k21 * y2 + k22 * z2
-        t[ROW_K + 2 * P + k] += x0 * r0 + y0 * r1 + z0 * r2
-        t[ROW_K + 5 * P + k] += x1 * r0 + y1 * r1 + z1 * r2
-        t[ROW_K + 8 * P + k] += x2 * r0 + y2 * r1 + z2 * r2
+        t[ROW_K + 2 * PAIR_LANES + k] += x0 * r0 + y0 * r1 + z0 * r2
+        t[ROW_K + 5 * PAIR_LANES + k] += x1 * r0 + y1 * r1 + z1 * r2
+        t[ROW_K + 8 * PAIR_LANES + k] += x2 * r0 + y2 * r1 + z2 * r2
 
 
 @parallel_kernel
@@ -234,17 +235,17 @@ def element_tangents(
                 moduli[13] = w * (s[0, 2] - tau[2] - pj)
                 moduli[14] = w * (s[1, 2] - tau[2] - pj)
                 for i in range(3):
-                    for k in range(P):
-                        t[ROW_A + i * P + k] = bp[_LANE_A[k], i]
-                        t[ROW_B + i * P + k] = bp[_LANE_B[k], i]
-                _add_pairs(t, P, moduli, n)
+                    for k in range(PAIR_LANES):
+                        t[ROW_A + i * PAIR_LANES + k] = bp[_LANE_A[k], i]
+                        t[ROW_B + i * PAIR_LANES + k] = bp[_LANE_B[k], i]
+                _add_pairs(t, PAIR_LANES, moduli, n)
             factor = volumetric_modulus(kappa[m], mean_j) / volume
             k = 0
             for a in range(8):
                 for bb in range(a, 8):
                     for i in range(3):
                         for j in range(3):
-                            own = t[ROW_K + (3 * i + j) * P + k]
+                            own = t[ROW_K + (3 * i + j) * PAIR_LANES + k]
                             out[e, k, i, j] = own + factor * g[a, i] * g[bb, j]
                     k += 1
 
