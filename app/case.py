@@ -131,7 +131,10 @@ def load_case(name: str, settings: Sequence[str] = ()) -> LoadedCase:
 
 
 def _extended(table: dict[str, Any], path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """The table laid over the case it names as `extends`; lists of tables are taken whole."""
+    """The table laid over the case it names as `extends`; lists of tables are taken whole.
+
+    What a paper says is said of one case: it is not handed on.
+    """
     name = table.pop("extends", None)
     if name is None:
         return table
@@ -148,6 +151,7 @@ def _extended(table: dict[str, Any], path: Path, above: tuple[Path, ...] = ()) -
         raise InputError("extends cases without end", f"{path}: extends")
     base = _extended(source, other, (*above, path))
     _with_absolute_files(base, other.resolve().parent)
+    base.pop("paper", None)
     return _laid_over(base, table)
 
 

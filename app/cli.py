@@ -203,6 +203,20 @@ class _Progress:
         self.console.print(text, markup=False, soft_wrap=True)
 
 
+def _paper_table(rows: list[dict[str, Any]]) -> Any:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title="paper beside ours", title_justify="left")
+    for head in ("result", "paper", "ours"):
+        table.add_column(head)
+    for row in rows:
+        ours = row["ours"]
+        shown = f"{ours:.4g}" if isinstance(ours, float) else "-" if ours is None else str(ours)
+        table.add_row(row["result"], escape(row["paper"]), shown)
+    return table
+
+
 def _print_summary(summary: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
@@ -249,6 +263,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
                 markup=False,
             )
     else:
+        if summary.get("paper"):
+            console.print(_paper_table(summary["paper"]))
         for name, value in summary["results"].items():
             if isinstance(value, float) and not name.startswith(("load_", "solve_")):
                 console.print(f"  {name:24} {value:.6g}", markup=False)

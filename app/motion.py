@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexapod.app.case import LoadedCase, package_version
-from flexapod.app.motion_flight import cycle_results, flight_results
+from flexapod.app.motion_flight import cycle_results, flight_results, marker_results
 from flexapod.app.motion_model import Motion, Say, assemble_motion, start_shape, uphill
 from flexapod.app.motion_recorder import MotionFolder, Recorder
 from flexapod.app.motion_robot import robot_results, step_results
-from flexapod.app.outputs import CHECKPOINT_FILE, peak_memory
+from flexapod.app.outputs import CHECKPOINT_FILE, beside_paper, peak_memory
 from flexapod.core.errors import SolverError, Status
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ def run_motion(
             status, message = error.status, str(error)
         except KeyboardInterrupt:
             status, message = Status.INTERRUPTED, f"stopped at {motion.state.time:.4g} s"
+    results = _results(recorder, motion)
     summary = {
         "case": loaded.name,
         "title": loaded.case.title,
@@ -108,7 +109,8 @@ def run_motion(
         "wall_time_s": time.perf_counter() - began,
         "peak_memory_bytes": peak_memory(),
         "resumed": resume,
-        "results": _results(recorder, motion),
+        "results": results,
+        "paper": beside_paper(loaded.case.paper, results),
         "reference": None,
         "warnings": notices,
         "folder": str(out),
@@ -180,6 +182,7 @@ def _results(recorder: Recorder, motion: Motion) -> dict[str, Any]:
         cycle = recorder.loaded.case.dynamics.cycle if recorder.loaded.case.dynamics else None
         if cycle is not None:
             results.update(cycle_results(rows, cycle))
+        results.update(marker_results(rows))
         if motion.ring is not None:
             results.update(flight_results(rows, motion.mass))
         if motion.robot is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -74,7 +75,10 @@ def flight_results(rows: Sequence[Mapping[str, float]], mass: float) -> dict[str
 
 
 def cycle_results(rows: Sequence[Mapping[str, float]], cycle: float) -> dict[str, Any]:
-    """Way of the centre over the ground in each whole cycle [m], its mean, and the largest."""
+    """Way of the centre over the ground in each whole cycle [m], its mean, and the largest.
+
+    ``mean_speed_m_s`` is that of the whole cycles.
+    """
     count = int((rows[-1]["time_s"] - rows[0]["time_s"]) / cycle + 1e-6)
     ends = [
         min(rows, key=lambda row: abs(row["time_s"] - rows[0]["time_s"] - k * cycle))
@@ -90,7 +94,20 @@ def cycle_results(rows: Sequence[Mapping[str, float]], cycle: float) -> dict[str
         "displacement_per_cycle_m": sum(ways) / len(ways),
         "displacement_of_cycles_m": ways,
         "largest_displacement_of_a_cycle_m": max(ways),
+        "mean_speed_m_s": sum(ways) / (cycle * len(ways)),
     }
 
 
-__all__ = ["airborne", "cycle_results", "flight_results", "flights"]
+def marker_results(rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Fastest speed and way over the ground of the marked point, where rows have one."""
+    first, last = rows[0], rows[-1]
+    if "marker_speed_m_s" not in last:
+        return {}
+    way = math.hypot(*(last[f"marker_{a}_mm"] - first[f"marker_{a}_mm"] for a in "xy"))
+    return {
+        "marker_peak_speed_m_s": max(row["marker_speed_m_s"] for row in rows),
+        "marker_distance_m": 1e-3 * way,
+    }
+
+
+__all__ = ["airborne", "cycle_results", "flight_results", "flights", "marker_results"]

@@ -349,7 +349,6 @@ def robot_results(
         "forward_m": 1e-3 * (last["centre_x_mm"] - first["centre_x_mm"]),
         "sideways_m": 1e-3 * (last["centre_y_mm"] - first["centre_y_mm"]),
         "mean_speed_m_s": way / time if time > 0.0 else 0.0,
-        "marker_peak_speed_m_s": max(row["marker_speed_m_s"] for row in rows),
         "servo_drawn_J": last["servo_drawn_J"],
         "peak_torque_N_m": max(
             abs(value)
@@ -360,8 +359,6 @@ def robot_results(
     }
     if "yaw_deg" in last:
         results["yaw_deg"] = last["yaw_deg"] - first["yaw_deg"]
-    marks = [row[f"marker_{a}_mm"] - first[f"marker_{a}_mm"] for row in (last,) for a in "xy"]
-    results["marker_distance_m"] = math.hypot(*marks) / 1e3
     if period is not None and time > 2.0 * period:
         count = int((time - period) / period + 1e-9)
         begin = min(rows, key=lambda row: abs(row["time_s"] - (last["time_s"] - count * period)))

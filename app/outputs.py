@@ -194,7 +194,7 @@ def peak_memory() -> int:
 
 def same_case(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     """Keys of two resolved cases that differ, run information and pictures left out."""
-    ignored = {"resolved", "plot", "reference", "title", "name"}
+    ignored = {"resolved", "plot", "reference", "paper", "title", "name"}
     return sorted(
         key for key in (a.keys() | b.keys()) - ignored if clean_json(a.get(key)) != b.get(key)
     )
@@ -439,6 +439,13 @@ def interpolate_path(x: np.ndarray, y: np.ndarray, at: float) -> float | None:
         if lo - slack <= at <= hi + slack and hi > lo:
             return float(y[i] + (y[i + 1] - y[i]) * (at - x[i]) / (x[i + 1] - x[i]))
     return None
+
+
+def beside_paper(said: Mapping[str, str], results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What a case's source says beside what came out, for summary.json."""
+    return [
+        {"result": name, "paper": words, "ours": results.get(name)} for name, words in said.items()
+    ]
 
 
 def read_reference_csv(path: Path, x: str, y: str) -> tuple[np.ndarray, np.ndarray]:

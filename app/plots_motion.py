@@ -56,25 +56,32 @@ def _line(axes: Any, x: np.ndarray, y: np.ndarray, **options: Any) -> None:
 
 # --------------------------------------------------------------------------- curves
 
+_WHOSE = {"speed_m_s": "centre", "marker_speed_m_s": "marker"}
 
-def _tracks(results: Results) -> dict[str, np.ndarray]:
-    """Ways [mm] in the x-z plane by name, the centre's first; shape (row_count, 2)."""
+
+def _tracks(results: Results, up: str) -> dict[str, np.ndarray]:
+    """Ways [mm] along x and `up` (y or z) by name, the centre's first; shape (row_count, 2)."""
     columns = results.columns
     names = [n.removesuffix("_x_mm") for n in columns if n.endswith("_x_mm")]
     # Groups of cells made rigid are parts of the body; its own track says where they go.
     shaped = {f"rigid_{t['name']}" for t in results.case.get("rigid", ()) if "name" in t}
     names = [n for n in names if not n.startswith("rigid_") or n in shaped]
     return {
-        name: np.column_stack([columns[f"{name}_x_mm"], columns[f"{name}_z_mm"]])
+        name: np.column_stack([columns[f"{name}_x_mm"], columns[f"{name}_{up}_mm"]])
         for name in sorted(names, key=lambda n: n != "centre")
-        if f"{name}_z_mm" in columns
+        if f"{name}_{up}_mm" in columns
     }
 
 
 def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -> None:
-    """Ways of centre and tracks over the ground; speed, acceleration and turn over time."""
+    """Ways of centre and tracks; speed, acceleration and turn over time.
+
+    From the side, over the ground; with ``plot.view = "top"`` from above, with the heading.
+    """
     time = results.columns["time_s"]
-    tracks = _tracks(results)
+    from_above = results.case.get("plot", {}).get("view") == "top"
+    grounds = [] if from_above else grounds
+    tracks = _tracks(results, "y" if from_above else "z")
     points = np.concatenate(list(tracks.values()))
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros((2, 2))
@@ -101,7 +108,9 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
                 f"{results.folder}: plot.y",
             )
     jolts = "centre_acceleration_m_s2"
-    kinds = {"speed": ["speed_m_s"], "acceleration": [jolts], "turn": ["turn_deg"], "extra": extra}
+    turn = "yaw_deg" if from_above and "yaw_deg" in results.columns else "turn_deg"
+    speeds = ["speed_m_s", *(["marker_speed_m_s"] if "marker_x_mm" in results.columns else [])]
+    kinds = {"speed": speeds, "acceleration": [jolts], "turn": [turn], "extra": extra}
     small = [name for name, heads in kinds.items() if any(h in results.columns for h in heads)]
     if ratio > 1.5:
         rows = [["track"] * len(small), small]
@@ -126,7 +135,7 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
         axes.plot(*way[0], "o", ms=5, mfc="white", color=colour, zorder=4)
         axes.plot(*way[-1], "o", ms=5, color=colour, zorder=4)
     axes.set_xlabel("x [mm]")
-    axes.set_ylabel("z [mm]")
+    axes.set_ylabel("y [mm]" if from_above else "z [mm]")
     tidy(axes)
     axes.legend(
         frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0),
@@ -135,14 +144,22 @@ def plot_motion_curve(results: Results, grounds: Sequence[Ground], path: Path) -
 
     for name in small:
         axes, heads = grid[name], kinds[name]
-        for head, colour in zip(heads, _COLOURS * len(heads), strict=False):
+        for k, (head, colour) in enumerate(zip(heads, _COLOURS * len(heads), strict=False)):
             if head in results.columns:
-                _line(axes, time, results.columns[head], color=colour, label=label(head))
+                # The first one is on top of the others.
+                under = {} if k == 0 else {"alpha": 0.6}
+                _line(
+                    axes, time, results.columns[head],
+                    color=colour, label=_WHOSE.get(head, label(head)), zorder=3 - 0.1 * k, **under,
+                )  # fmt: skip
         axes.set_xlabel("time [s]")
-        if len(heads) == 1:
+        if len(heads) == 1 or name == "speed":
             axes.set_ylabel(label(heads[0]))
-        else:
-            axes.legend(frameon=False, fontsize=8)
+        if len(heads) > 1:
+            axes.legend(
+                frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+                borderaxespad=0.1, ncols=2,
+            )  # fmt: skip
         tidy(axes)
         axes.margins(x=0.01)
     figure.suptitle(heading_of(results), fontsize=11)

@@ -23,7 +23,7 @@ from flexapod.app.motion_model import (
     settled_shape,
     start_shape,
 )
-from flexapod.app.outputs import ResultsFolder, peak_memory
+from flexapod.app.outputs import ResultsFolder, beside_paper, peak_memory
 from flexapod.core.errors import InputError, SolverError, Status
 
 if TYPE_CHECKING:
@@ -336,6 +336,13 @@ def run_search(
     size = (0, 0)
     if trials is not None and trials.motion is not None:
         size = trials.motion.size[:2]
+    results = {
+        spec.result: 0.5 * sum(bracket) if found else None,
+        "bracket_low": bracket[0],
+        "bracket_high": bracket[1],
+        "unit": range_.unit,
+        "states": len(folder.rows),
+    }
     summary = {
         "case": loaded.name,
         "title": loaded.case.title,
@@ -347,13 +354,8 @@ def run_search(
         "wall_time_s": time.perf_counter() - began,
         "peak_memory_bytes": peak_memory(),
         "resumed": resume,
-        "results": {
-            spec.result: 0.5 * sum(bracket) if found else None,
-            "bracket_low": bracket[0],
-            "bracket_high": bracket[1],
-            "unit": range_.unit,
-            "states": len(folder.rows),
-        },
+        "results": results,
+        "paper": beside_paper(loaded.case.paper, results),
         "reference": None,
         "warnings": notices,
         "folder": str(out),

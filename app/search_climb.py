@@ -10,7 +10,7 @@ from typing import Any
 from flexapod.app.case import LoadedCase
 from flexapod.app.motion import run_motion
 from flexapod.app.motion_model import Say
-from flexapod.app.outputs import ResultsFolder
+from flexapod.app.outputs import ResultsFolder, beside_paper
 from flexapod.app.pool import Job, Outcome, Task, clear_runs, drive, with_values
 from flexapod.app.search import Range
 from flexapod.core.errors import Status
@@ -161,6 +161,7 @@ def run_climb(
         status, message = Status.NOT_CONVERGED, f"{climbs.own} {climbs.notes[climbs.own]}"
     summary["status"], summary["message"] = status.name.lower(), message
     summary["results"].update(climbs.results())
+    summary["paper"] = beside_paper(loaded.case.paper, summary["results"])
     ResultsFolder(out).write_summary(summary)
     return status, message, summary
 

@@ -519,6 +519,11 @@ class Case(Table):
     step: tuple[StepSpec, ...] = ()
     probe: tuple[ProbeSpec, ...] = ()
     reference: ReferenceSpec | None = None
+    paper: dict[str, str] = Field(
+        default={},
+        description="Of a motion: what its source says of a result, in words, by the result's name "
+        'in summary.json, as in mean_speed_m_s = "over 0.1 m/s"; shown beside ours.',
+    )
     plot: PlotSpec = PlotSpec()
     solver: SolverSpec = SolverSpec()
     dynamics: DynamicsSpec | None = None
@@ -703,6 +708,7 @@ class Case(Table):
                 "bond": self.bond,
                 "search": self.search,
                 "sweep": self.sweep,
+                "paper": self.paper,
                 "robot": self.robot,
                 "gait": self.gait,
                 "between of pressure": [p for p in self.pressure if p.between is not None],

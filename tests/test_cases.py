@@ -44,6 +44,19 @@ def test_moving_cases_are_known() -> None:
     assert {n for n in shipped_cases() if load_case(n).case.dynamics is not None} == MOVING
 
 
+def test_what_papers_say_is_said_of_results_that_exist() -> None:
+    """By the names of docs/cases.md; and of one case only, not of those that extend it."""
+    known = {
+        "mean_speed_m_s", "airborne_fraction", "jump_height_m", "yaw_deg", "steepest_slope_deg",
+        "uphill_m", "cleared", "turns", "distance_m", "marker_peak_speed_m_s",
+        "displacement_per_cycle_m",
+    }  # fmt: skip
+    said = {name: load_case(name).case.paper for name in sorted(ROBOTS | {"arch"})}
+    assert set().union(*said.values()) == known
+    assert [name for name, words in said.items() if not words] == ["stand"]
+    assert list(said["spot_turn"]) == ["yaw_deg"]
+
+
 @pytest.mark.parametrize("name", sorted(ROLLING))
 def test_everything_a_moving_case_names_exists(name: str) -> None:
     from flexapod.app.motion_model import assemble_motion

@@ -520,25 +520,30 @@ def test_near_faces() -> None:
     assert ground_kernels.near_faces(x, faces, *packed, -1.0, out) == 1
 
 
-def test_what_is_beside_a_steep_wall_is_near() -> None:
-    """A floor up to x = 1, then a wall of slope 20: a face over the floor beside it is near it."""
-    heights = np.tile(20.0 * np.clip(np.arange(21) * 0.1 - 1.0, 0.0, 0.5)[:, None], (1, 21))
-    packed = HeightField(0.0, 0.0, 0.1, heights).packed()
+@pytest.mark.parametrize("axis", [0, 1])
+def test_what_is_beside_a_steep_wall_is_near(axis: int) -> None:
+    """A floor up to x (or y) = 1, then a wall of slope 20: what is over the floor beside it."""
+    rise = 20.0 * np.clip(np.arange(21) * 0.1 - 1.0, 0.0, 0.5)
+    heights = np.tile(rise[:, None], (1, 9))
+    packed = HeightField(0.0, 0.0, 0.1, heights if axis == 0 else heights.T).packed()
     out = np.full(1, -1)
     faces = np.arange(4).reshape(1, 4)
 
     def near(x: float, z: float, distance: float) -> bool:
-        corners = np.array([[x, 0.5, z], [x - 0.1, 0.5, z], [x - 0.1, 0.6, z], [x, 0.6, z]])
+        corners = np.array([[x, 0.3, z], [x - 0.1, 0.3, z], [x - 0.1, 0.4, z], [x, 0.4, z]])
+        corners = corners if axis == 0 else corners[:, [1, 0, 2]]
         return bool(ground_kernels.near_faces(corners, faces, *packed, distance, out) == 1)
 
     # 0.05 from the wall's foot, far above the floor; the wall is 0.05 + z / 20 away.
-    assert ground_kernels.gap_and_normal(*packed, np.array([0.95, 0.5, 2.0]), np.empty(3)) == 2.0
+    place = np.array([0.95, 0.3, 2.0] if axis == 0 else [0.3, 0.95, 2.0])
+    assert ground_kernels.gap_and_normal(*packed, place, np.empty(3)) == 2.0
     assert near(0.95, 2.0, 0.2)
     # Over the top of all, or far from the wall, it is not.
     assert not near(0.95, 10.3, 0.2)
     assert not near(0.6, 2.0, 0.2)
-    # Beside the field the rim's height continues.
+    # Beside the field the rim's height continues; what is no number is nowhere.
     assert near(2.5, 10.1, 0.2) and not near(2.5, 10.3, 0.2) and not near(-3.0, 1.0, 0.2)
+    assert not near(np.nan, 1.0, 0.2)
 
 
 # ---- motion -----------------------------------------------------------------------------------
