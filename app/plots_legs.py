@@ -73,12 +73,13 @@ def plot_legs(results: Results, path: Path) -> None:
     upper.legend(frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
     middle.set_ylabel("motors' torque [N m]")
     lower.plot(time, results.columns["servo_power_W"], color=BLUE, lw=0.9)
-    lower.set_ylabel("all motors [W]")
+    lower.set_ylabel("motors together [W]")
     lower.set_xlabel("time [s]")
     drawn = float(results.columns["servo_drawn_J"][-1])
     span = max(float(time[-1] - time[0]), 1e-9)
+    half = " (of the half that is computed)" if results.case.get("plot", {}).get("mirror") else ""
     lower.set_title(
-        f"work given {drawn:.3g} J, {drawn / span:.3g} W on average", fontsize=9, loc="left"
+        f"work given {drawn:.3g} J, {drawn / span:.3g} W on average{half}", fontsize=9, loc="left"
     )
     for axes in (upper, middle, lower):
         tidy(axes)
