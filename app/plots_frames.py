@@ -64,6 +64,12 @@ class Frames:
         return self.reader.read(self.results.fields[self.index[frame]])
 
     @property
+    def text(self) -> str:
+        """Of the colour bar; none for a box, whose colours say nothing."""
+        rigid = self.results.case.get("robot", {}).get("body") == "rigid"
+        return "" if rigid else self.reader.text
+
+    @property
     def times(self) -> np.ndarray:
         """Time of each [s]."""
         return np.array([self.results.times[i] for i in self.index])
@@ -147,7 +153,7 @@ def plot_motion_snapshots(
             stage.axes[scene].set_title(time, fontsize=10, pad=3)
     for axes in stage.axes[len(chosen) :]:
         axes.set_visible(False)
-    stage.colour_bar(frames.limits, frames.reader.text, axis=frames.axis)
+    stage.colour_bar(frames.limits, frames.text, axis=frames.axis)
     save_figure(stage.figure, path)
 
 
@@ -165,7 +171,7 @@ def plot_motion_final(
         stage = Stage(low, high, heading, width=8.4, height=7.5, dpi=DPI, view=view)
         stage.ground(grounds, frames.half_width)
         stage.place(0, *stage.body(skin, limits))
-        stage.colour_bar(limits, frames.reader.text, axis=frames.axis)
+        stage.colour_bar(limits, frames.text, axis=frames.axis)
         save_figure(stage.figure, path)
         return
     sheet = None
@@ -181,7 +187,8 @@ def plot_motion_final(
     axes.imshow(image)
     axes.set_axis_off()
     axes.set_title(heading, fontsize=11)
-    colour_bar(figure, axes, limits, frames.reader.text)
+    if frames.text:
+        colour_bar(figure, axes, limits, frames.text)
     save_figure(figure, path)
 
 
@@ -202,7 +209,7 @@ def _film(
         view=frames.view,
     )  # fmt: skip
     stage.ground(grounds, frames.half_width)
-    stage.colour_bar(frames.limits, frames.reader.text, axis=frames.axis)
+    stage.colour_bar(frames.limits, frames.text, axis=frames.axis)
     axes = stage.axes[0]
     above = 1.0 + 6.0 / stage.height
     if speed != 1.0:

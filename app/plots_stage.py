@@ -115,12 +115,14 @@ class Stage:
     def colour_bar(
         self, limits: tuple[float, float], text: str, colours: str = "viridis", axis: str = "x [mm]"
     ) -> None:
-        """Name the axis to the left and the colours to the right, in one row."""
+        """Name the axis to the left and the colours (unless they say nothing) to the right."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
         wide, tall = self.figure.get_size_inches()
         self.figure.text(0.25 / wide, 0.24 / tall, axis, fontsize=9, va="center")
+        if not text:
+            return
         axes = self.figure.add_axes(((wide - 2.45) / wide, 0.24 / tall, 2.2 / wide, 0.09 / tall))
         bar = self.figure.colorbar(
             ScalarMappable(Normalize(*limits), colours), cax=axes, orientation="horizontal"
