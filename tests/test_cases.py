@@ -47,9 +47,9 @@ def test_moving_cases_are_known() -> None:
 def test_what_papers_say_is_said_of_results_that_exist() -> None:
     """By the names of docs/cases.md; and of one case only, not of those that extend it."""
     known = {
-        "mean_speed_m_s", "steady_speed_m_s", "airborne_fraction", "jump_height_m", "yaw_deg", "steepest_slope_deg",
-        "uphill_m", "cleared", "turns", "distance_m", "marker_peak_speed_m_s",
-        "displacement_per_cycle_m",
+        "mean_speed_m_s", "steady_speed_m_s", "airborne_fraction", "jump_height_m", "yaw_deg",
+        "steepest_slope_deg", "uphill_m", "cleared", "turns", "distance_m",
+        "marker_peak_speed_m_s", "displacement_per_cycle_m",
     }  # fmt: skip
     said = {name: load_case(name).case.paper for name in sorted(ROBOTS | {"arch"})}
     assert set().union(*said.values()) == known
