@@ -42,7 +42,8 @@ from flexapod.dynamics.workspace import (
 INTERNAL, PRESSURE, DISSIPATIVE, MASS_DAMPING, VISCOUS, BROKEN = 1, 2, 3, 4, 5, 6
 FASTEST = 6
 WORKS = slice(1, 6)
-# Steps after which one that is short for contact's sake is chosen anew.
+# Steps after which one that is short for contact's sake is chosen anew. A choice costs a third of a
+# step of the coarse robot, so this costs a hundredth.
 PATIENCE = 32
 
 

@@ -23,6 +23,7 @@ from flexapod.app.plots import (
     save_figure,
     tidy,
 )
+from flexapod.core.units import read_quantities
 
 NAMES = ("steady_speed_m_s", "airborne_fraction", "jump_height_m", "cost_of_transport")
 
@@ -30,7 +31,7 @@ NAMES = ("steady_speed_m_s", "airborne_fraction", "jump_height_m", "cost_of_tran
 def gravity_of(results: Results) -> float:
     """Strength of gravity [m/s2]."""
     vector = results.case["gravity"]["acceleration"]
-    return float(np.linalg.norm([float(str(part).split()[0]) for part in vector]))
+    return float(np.linalg.norm(read_quantities(vector, "m/s^2", None)))
 
 
 def main() -> None:

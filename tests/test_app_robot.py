@@ -393,28 +393,35 @@ def test_mirrored_gait_mirrors_the_track(tmp_path: Path) -> None:
     np.testing.assert_allclose(right * MIRRORED, left, rtol=0.0, atol=1e-9)
 
 
-def test_a_run_that_was_cut_goes_on_with_the_same_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def cut_and_resumed(
+    loaded: LoadedCase, out: Path, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> bytes:
+    """The rows of a run that was stopped at its row number `rows` and taken up again."""
     from flexapod.app import motion_recorder
 
-    settings = ('start.set_down="50 ms"', "dynamics.checkpoint=4")
-    loaded = short("walk_tripod", "0.12 s", *settings)
-    assert run_case(loaded, tmp_path / "whole").status is Status.DONE
     row, calls = motion_recorder.Recorder.row, []
 
     def cut(self: Any, energies: Any) -> dict[str, float]:
         calls.append(1)
-        if len(calls) == 15:
+        if len(calls) == rows:
             raise KeyboardInterrupt
         return row(self, energies)
 
     monkeypatch.setattr(motion_recorder.Recorder, "row", cut)
-    assert run_case(loaded, tmp_path / "cut").status is Status.INTERRUPTED
+    assert run_case(loaded, out).status is Status.INTERRUPTED
     monkeypatch.setattr(motion_recorder.Recorder, "row", row)
-    assert run_case(loaded, tmp_path / "cut", resume=True).status is Status.DONE
-    whole, again = (tmp_path / n / "curve.csv" for n in ("whole", "cut"))
-    assert again.read_bytes() == whole.read_bytes()
+    assert run_case(loaded, out, resume=True).status is Status.DONE
+    return (out / "curve.csv").read_bytes()
+
+
+def test_a_run_that_was_cut_goes_on_with_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = ('start.set_down="50 ms"', "dynamics.checkpoint=4")
+    loaded = short("walk_tripod", "0.12 s", *settings)
+    assert run_case(loaded, tmp_path / "whole").status is Status.DONE
+    again = cut_and_resumed(loaded, tmp_path / "cut", 15, monkeypatch)
+    assert again == (tmp_path / "whole" / "curve.csv").read_bytes()
 
 
 def test_soft_robot_bears_its_weight_on_its_legs() -> None:
@@ -429,15 +436,10 @@ def test_soft_robot_bears_its_weight_on_its_legs() -> None:
     assert motion.model.contacts[1].pressing() > 0.9 * pressed
 
 
-# --------------------------------------------------------------------------- feet
-
-
 def test_soft_robot_goes_on_with_the_same_rows_and_keeps_its_books(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Legs kick a soft body on the ground: cut and taken up again, byte for byte the same."""
-    from flexapod.app import motion_recorder
-
     loaded = load_case(
         "pronk_earth",
         ['start.set_down="5 ms"', 'gait.start="0 s"', "dynamics.checkpoint=4", "dynamics.frames=3"]
@@ -450,20 +452,8 @@ def test_soft_robot_goes_on_with_the_same_rows_and_keeps_its_books(
     assert found["servo_work_J"] > 1e-2
     assert found["energy_balance_of_changes"] < 1e-3
     assert found["ground_1_points"] > 0
-    row, calls = motion_recorder.Recorder.row, []
-
-    def cut(self: Any, energies: Any) -> dict[str, float]:
-        calls.append(1)
-        if len(calls) == 11:
-            raise KeyboardInterrupt
-        return row(self, energies)
-
-    monkeypatch.setattr(motion_recorder.Recorder, "row", cut)
-    assert run_case(loaded, tmp_path / "cut").status is Status.INTERRUPTED
-    monkeypatch.setattr(motion_recorder.Recorder, "row", row)
-    assert run_case(loaded, tmp_path / "cut", resume=True).status is Status.DONE
-    first, second = (tmp_path / n / "curve.csv" for n in ("whole", "cut"))
-    assert second.read_bytes() == first.read_bytes()
+    again = cut_and_resumed(loaded, tmp_path / "cut", 11, monkeypatch)
+    assert again == (tmp_path / "whole" / "curve.csv").read_bytes()
 
 
 def test_legs_that_swing_in_space_take_no_momentum_from_a_soft_body() -> None:
@@ -500,6 +490,9 @@ def test_legs_that_swing_in_space_take_no_momentum_from_a_soft_body() -> None:
     assert np.abs(turning).max() < 1e-12 * np.abs(about).max()
     assert books[-1].servo_work > 1e-3
     assert abs(books[-1].unaccounted) < 1e-3 * books[-1].servo_work
+
+
+# --------------------------------------------------------------------------- feet
 
 
 def test_feet_have_sides_of_their_own() -> None:
