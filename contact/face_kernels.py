@@ -15,6 +15,8 @@ POINTS = np.array([[-_G, -_G], [_G, -_G], [_G, _G], [-_G, _G]])
 # Newton's method doubles its digits: after a step of this size in local coordinates what is left
 # is of its square, times the warp of the face over its size, which is less than one.
 NEWTON_SMALL = 1e-7
+# The last part of the depth up to which a point counts, over which its force fades.
+FADING = 0.3
 
 
 @inline_kernel
@@ -159,6 +161,27 @@ def smooth_step(a: float) -> float:
 
 
 @inline_kernel
+def rim_share(local: float, margin: float) -> float:
+    """Share of its force a point keeps at a local coordinate: 1 on the face, 0 past `margin`."""
+    return smooth_step(max(0.0, 1.0 - max(0.0, abs(local) - 1.0) / margin))
+
+
+@inline_kernel
+def rim_slope(local: float, margin: float) -> float:
+    """Derivative of `rim_share` by the local coordinate."""
+    a = 1.0 - (abs(local) - 1.0) / margin
+    if not 0.0 < a < 1.0:
+        return 0.0
+    return -math.copysign(6.0 * a * (1.0 - a) / margin, local)
+
+
+@inline_kernel
+def depth_share(depth: float, deepest: float) -> float:
+    """Share of its force a point keeps at a `depth` [m]: it falls to 0 before `deepest`."""
+    return smooth_step(max(0.0, min(1.0, (deepest - depth) / (FADING * deepest))))
+
+
+@inline_kernel
 def out_of_reach(x: Any, face: Any, p: Any, margin: float, limit: float) -> bool:
     """Whether `p` is surely farther than `limit` [m] from the face widened by `margin`.
 
@@ -207,22 +230,19 @@ def choose_partner(
     candidates: Any,
     deepest: float,
     farthest: float,
-    depth: float,
     margin: float,
     partner: Any,
     local: Any,
     gap: Any,
-    fade: Any,
 ) -> None:
     """Give point `q` of slave face `f`, at `p`, the nearest candidate it projects onto, or none.
 
-    Writes entry (f, q) of `partner`, `local`, `gap` and `fade`, see
-    `contact.kernels.find_partners`. Faces with a gap below `deepest` or above `farthest` [m] are
-    passed over.
+    Writes entry (f, q) of `partner`, `local` and `gap`, see `contact.kernels.find_partners`. A
+    candidate reaches `margin` (in local coordinates) beyond its edge. Faces with a gap below
+    `deepest` or above `farthest` [m] are passed over.
     """
     partner[f, q] = -1
     gap[f, q] = math.inf
-    fade[f, q] = 0.0
     nearest = math.inf
     for c in range(candidates.shape[1]):
         m = candidates[f, c]
@@ -246,8 +266,3 @@ def choose_partner(
         gap[f, q] = g
         local[f, q, 0] = xi
         local[f, q, 1] = eta
-        fade[f, q] = (
-            smooth_step(1.0 - excess_xi / margin)
-            * smooth_step(1.0 - excess_eta / margin)
-            * smooth_step(min(1.0, (depth + g) / (0.3 * depth)))
-        )

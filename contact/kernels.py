@@ -18,8 +18,10 @@ from flexapod.contact.face_kernels import POINTS as POINTS
 from flexapod.contact.face_kernels import (
     area_vector,
     choose_partner,
+    depth_share,
     point,
     project,
+    rim_share,
     shape,
     shape_derivatives,
     tangents,
@@ -117,13 +119,18 @@ def find_partners(
                 candidates,
                 -depth,
                 math.inf,
-                depth,
                 margin,
                 partner,
                 local,
                 gap,
-                fade,
             )
+            fade[f, q] = 0.0
+            if partner[f, q] >= 0:
+                fade[f, q] = (
+                    rim_share(local[f, q, 0], margin)
+                    * rim_share(local[f, q, 1], margin)
+                    * depth_share(-gap[f, q], depth)
+                )
 
 
 @parallel_kernel

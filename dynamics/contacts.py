@@ -110,6 +110,10 @@ class DynamicContact(Protocol):
         """Normal traction of the last `add_forces`, averaged to nodes [Pa]."""
         ...
 
+    def dropped(self, history: History) -> float:
+        """What points have lost that let go of what they pressed on, since the start [J]."""
+        ...
+
 
 def account(contact: DynamicContact, history: History, dt: float) -> None:
     """Add what the last forces slid and dissipated in a step of `dt` [s] to ``history["spent"]``.

@@ -304,6 +304,10 @@ class GroundContact:
             )
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
 
+    def dropped(self, history: History) -> float:
+        """See `DynamicContact`; the ground has no rims."""
+        return 0.0
+
 
 def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
     """Signed distance of points (count, 3) from the ground [m]."""

@@ -456,6 +456,8 @@ def energies(model: Model, state: State, work: Workspace) -> Energies:
     # What sticking points hold elastically comes back: it is stored, not lost.
     stuck = sum(float(c.totals[STICK]) for c in model.contacts)
     contact = stuck + sum(float(c.totals[ENERGY]) for c in model.contacts)
+    pairs = zip(model.contacts, state.histories, strict=True)
+    dropped = sum(c.dropped(history) for c, history in pairs)
     return Energies(
         kinetic=work.kinetic,
         strain=strain,
@@ -463,7 +465,7 @@ def energies(model: Model, state: State, work: Workspace) -> Energies:
         contact=contact,
         bond=float(work.bond_totals[:, 0].sum()),
         pressure_work=float(state.works[PRESSURE]),
-        contact_loss=-float(state.works[DISSIPATIVE]) - stuck,
+        contact_loss=dropped - float(state.works[DISSIPATIVE]) - stuck,
         mass_damping_loss=-float(state.works[MASS_DAMPING]),
         internal_loss=internal_loss,
         # Of what the branches took some is stored and comes back.

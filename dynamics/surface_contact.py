@@ -33,6 +33,8 @@ CLOSE_SHARE = LOOK_SHARE + 2.0 * WAY_SHARE
 # to be to count in the stable step.
 SLACK_SHARE = 0.05
 COUNT_SHARE = 0.05
+# Both surfaces take the slave's part in turn, so each point counts by half.
+SHARE = 0.5
 # Candidates of a face before those out of reach are struck: a large one has many small ones near.
 CANDIDATES = 32
 
@@ -119,7 +121,9 @@ class SurfaceContact:
             history[f"allowed{k}"] = np.zeros(p.gap.shape)
             history[f"way{k}"] = np.zeros(count)
             history[f"ready{k}"] = np.zeros(count)
-            for key in ("partner", "local", "gap", "fade"):
+            history[f"offset{k}"] = np.zeros(p.gap.shape)
+            history[f"dropped{k}"] = np.zeros(count)
+            for key in ("partner", "local", "gap"):
                 history[f"{key}{k}"] = np.array(getattr(p, key))
             history[f"anchor_face{k}"] = np.full(p.gap.shape, -1, dtype=np.int32)
             history[f"anchor_local{k}"] = np.zeros_like(p.local)
@@ -133,7 +137,7 @@ class SurfaceContact:
             near = np.zeros(p.slaves.shape[0], dtype=np.int64)
             if first:
                 p.search(x, self.depth, self.margin)
-                for key in ("partner", "local", "gap", "fade"):
+                for key in ("partner", "local", "gap"):
                     history[f"{key}{k}"][:] = getattr(p, key)
             # A point may slide in over a rim, or over a partner's margin.
             p.find_candidates(x, self.depth + self.skin, self.margin, CANDIDATES)
@@ -156,7 +160,7 @@ class SurfaceContact:
             far = near == 0
             history[f"partner{k}"][far] = -1
             history[f"gap{k}"][far] = np.inf
-            history[f"fade{k}"][far] = 0.0
+            history[f"offset{k}"][far] = 0.0
             history[f"anchor_face{k}"][far] = -1
             p.pressure[far] = 0.0
             self.shear[k][far] = 0.0
@@ -176,6 +180,7 @@ class SurfaceContact:
                 history[f"near{k}"],
                 int(history[f"count{k}"][0]),
                 kernels.POINTS,
+                p.areas,
                 p.masters,
                 history[f"candidates{k}"],
                 self.depth,
@@ -188,10 +193,14 @@ class SurfaceContact:
                 history[f"ready{k}"],
                 max(0.5 * COUNT_SHARE * self.skin, 2.0 * rate_margin(travel)),
                 history[f"allowed{k}"],
+                self.law.traction_coefficient,
+                self.law.stiffness_exponent,
+                SHARE,
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
-                history[f"fade{k}"],
+                history[f"offset{k}"],
+                history[f"dropped{k}"],
             )
         # A search may have found more faces: those that are near enough to matter are late too.
         return late > 0
@@ -269,7 +278,9 @@ class SurfaceContact:
                 history[f"partner{k}"],
                 history[f"local{k}"],
                 history[f"gap{k}"],
-                history[f"fade{k}"],
+                history[f"offset{k}"],
+                self.depth,
+                self.margin,
                 history[f"allowed{k}"],
                 law.traction_coefficient,
                 law.stiffness_exponent,
@@ -281,7 +292,7 @@ class SurfaceContact:
                 friction.static_speed,
                 friction.dynamic_speed,
                 law.stick_stiffness,
-                0.5,
+                SHARE,
                 history[f"anchor_face{k}"],
                 history[f"anchor_local{k}"],
                 elastic,
@@ -321,7 +332,7 @@ class SurfaceContact:
                 near.size,
                 kernels.POINTS,
                 p.areas,
-                history[f"gap{k}"],
+                history[f"gap{k}"] + history[f"offset{k}"],
                 margin,
                 law.traction_coefficient,
                 law.stiffness_exponent,
@@ -358,7 +369,7 @@ class SurfaceContact:
             track_kernels.allowed_depths(
                 p.slaves,
                 self._counted(history, k, margin),
-                history[f"gap{k}"],
+                history[f"gap{k}"] + history[f"offset{k}"],
                 margin,
                 growth,
                 springs,
@@ -384,3 +395,7 @@ class SurfaceContact:
         for p in self.passes:
             kernels.nodal_average(p.slaves, kernels.POINTS, p.areas, p.pressure, total, area)
         return np.asarray(np.divide(total, area, out=np.zeros_like(total), where=area > 0.0))
+
+    def dropped(self, history: History) -> float:
+        """See `DynamicContact`."""
+        return sum(float(history[f"dropped{k}"].sum()) for k in range(len(self.passes)))

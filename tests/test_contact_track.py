@@ -8,7 +8,7 @@ import pytest
 from flexapod.contact import kernels, track_kernels
 from flexapod.contact.law import ContactLaw
 from flexapod.contact.search import candidate_faces, radii
-from flexapod.dynamics.contacts import RATE_MARGIN
+from flexapod.dynamics.contacts import ENERGY, FORCE, RATE_MARGIN
 from flexapod.dynamics.surface_contact import WAY_SHARE, SurfaceContact
 
 SIZE = 0.01  # of a face [m]
@@ -230,3 +230,75 @@ def test_ways_are_counted_from_the_best_rigid_motion(
     tolerance = 1e-9 if across[0] == 0.0 else 1e-12
     np.testing.assert_allclose(moved[nodes], away, rtol=0.0, atol=tolerance)
     assert not moved[:5].any() and not moved[55:].any()
+
+
+def _moved(x: np.ndarray, way: tuple[float, float, float]) -> np.ndarray:
+    """The upper plate elsewhere."""
+    return x + np.where(np.arange(32) < 16, 0.0, 1.0)[:, None] * np.asarray(way)
+
+
+def _along(contact: SurfaceContact, path: list[np.ndarray]) -> np.ndarray:
+    """Rows of stored energy, work of the elastic forces, dropped energy [J] and force [N] (3)."""
+    history = contact.start(path[0])
+    none = np.zeros_like(path[0])
+    rows, work, before, last = [], 0.0, path[0], None
+    for x in path:
+        contact.prepare(x, history, float(np.linalg.norm(x - before, axis=1).max()))
+        force, rest = np.zeros_like(x), np.zeros_like(x)
+        contact.add_forces(x, none, history, force, rest)
+        if last is not None:
+            work += float((0.5 * (force + last) * (x - before)).sum())
+        before, last = x, force
+        lost = contact.dropped(history)
+        rows.append([contact.totals[ENERGY], work, lost, *contact.totals[FORCE]])
+    return np.array(rows)
+
+
+def test_a_deep_point_is_pushed_in_over_a_rim() -> None:
+    """Sideways over the rim at a constant depth and back: what goes in comes back, sideways.
+
+    The rows of points lie at 0.211 of a face from its edges, so one row is within the margin, 0.15
+    of a face beyond the other plate's edge, before the shift's last part.
+    """
+    contact, x = plates(-3e-4)
+    x = x + 1e-5 * np.random.default_rng(5).standard_normal(x.shape)
+    shift = np.concatenate([np.linspace(0.0, 0.30, 3001), np.linspace(0.30, 0.0, 3001)]) * SIZE
+    rows = _along(contact, [_moved(x, (s, 0.0, 0.0)) for s in shift])
+    stored, work, lost = rows[:, 0], rows[:, 1], rows[:, 2]
+    # One of six rows of points is let go of, and taken up again on the way back.
+    assert stored[3000] < 0.9 * stored[0]
+    assert np.abs(stored - stored[0] + work + lost).max() < 1e-5 * stored[0]
+    # The lower plate is pushed back from where the upper one goes, and as much on its way back:
+    # measured but for 0.4 %, of points that were out of sight beyond the margin for a few steps.
+    assert rows[:, 3].min() < -0.02 * rows[0, 5]
+    assert np.abs(rows[:, 3] - rows[::-1, 3]).max() < 1e-2 * np.abs(rows[:, 3]).max()
+    assert abs(lost[-1]) < 1e-3 * stored[0]
+    assert stored[-1] == pytest.approx(stored[0], rel=2e-3)
+
+
+def test_no_way_round_makes_energy() -> None:
+    """Deep and shallow, over faces and rims and turned, again and again: the books close.
+
+    And what is dropped only grows: no partner gives a point energy it had not. Measured to 0.6 mJ
+    of the 4.3 J pressed in; without the force at rims 60 mJ are missing, and without the points'
+    offsets one of them was given 6 mJ.
+    """
+    rng = np.random.default_rng(11)
+    contact, x = plates(2e-4)
+    x = x + 3e-4 * rng.standard_normal(x.shape)
+    path = []
+    phase = rng.uniform(0.0, 2.0 * np.pi, 5)
+    for s in np.linspace(0.0, 2.0 * np.pi, 40_001):
+        waves = np.sin(np.array([3.0, 5.0, 11.0, 4.0, 7.0]) * s + phase) - np.sin(phase)
+        turned = x.copy()
+        c, t = np.cos(0.03 * waves[3]), np.sin(0.03 * waves[3])
+        turned[16:, [0, 2]] = turned[16:, [0, 2]] @ np.array([[c, t], [-t, c]])
+        path.append(_moved(turned, (6e-3 * waves[0], 5e-3 * waves[1], 4e-4 * waves[2] - 4e-4)))
+    rows = _along(contact, path)
+    stored, work, lost = rows[:, 0], rows[:, 1], rows[:, 2]
+    pressed = np.maximum(0.0, -np.diff(work)).sum()
+    gap = np.abs(stored - stored[0] + work + lost).max()
+    print(stored.max(), pressed, gap, lost[-1], np.diff(lost).min())
+    assert gap < 1e-3 * pressed
+    assert np.diff(lost).min() > -1e-9 * pressed
+    assert lost[-1] > 0.0
