@@ -25,6 +25,7 @@ RINGS = {"ring_crawl", "ring_crawl_sweep", "ring_climb", "ring_jump", "sphere_cr
 ROBOTS = {
     "stand", "walk_tripod", "walk_turn", "walk_turn_air", "spot_turn", "climb", "climb_tripod",
     "obstacle_70mm", "rubble", "pronk_earth", "pronk_mars", "pronk_moon", "roll_active",
+    "roll_rocking",
 }  # fmt: skip
 # The last two are looked at in test_app_rigid and test_app_robot.
 MOVING = ROLLING | RINGS | ROBOTS | {"payload_drop", "arch"}
