@@ -104,7 +104,7 @@ def _potential(
     energy = coefficient * fading ** (exponent + 1.0) / (exponent + 1.0)
     end = min(press, press - depth + deepest)
     if end > fading:
-        # Three Gauss points are exact up to the fifth power, so for the paper's exponent of two.
+        # Three Gauss points are exact up to the fifth power: for the paper's exponent of two.
         middle = 0.5 * (fading + end)
         half = 0.5 * (end - fading)
         for k in range(3):
@@ -302,7 +302,7 @@ def _add_rim_force(
     a01 = m01 - gap * b01
     det = m00 * m11 - a01 * a01
     if not det > 0.0:
-        return
+        return  # deeper than the face's warp is curved: no one place is the closest
     h0 = (m11 * slope_xi - a01 * slope_eta) / det
     h1 = (m00 * slope_eta - a01 * slope_xi) / det
     for i in range(3):
@@ -349,15 +349,15 @@ def pair_forces(
     shear: Any,
     totals: Any,
 ) -> int:
-    """Add the forces [N] of touching points on both faces; equal and opposite to the last bit.
+    """Add the forces [N] of touching points on both faces; equal and opposite to round-off.
 
     The normal traction is that of `contact.kernels.pair_contact`, ``B d**m1``, plus the paper's
     damping ``D sign(d') |d'|**m2 d**m3`` (equation 4), and never below zero: a contact does not
     pull. Here d is the depth less the point's `offset`, see `track_partners`. The traction fades
     over the `margin` beyond the partner's edge and before the depth `deepest` [m], and the elastic
-    force is all of the gradient of what the point then stores: a point that slides in over a rim
-    while it is deep has to be pushed in. (That adds 8 % to the stiffness of a point at a depth of
-    0.4 of the margin, 22 % at 0.67, which `contact_rates` leaves to its bound's slack.)
+    force is all of the gradient of what the point then stores: one that slides off over a rim is
+    pushed off, and one that comes back has to be pushed in. (A point that comes in deep from beyond
+    the margin is new there: it presses by what it sinks in further.)
 
     Friction is that of `ground_kernels.ground_contact`, mu of the relative tangential speed
     (equation 8); what a point sticks to is a point of the partner's material: a face,
@@ -403,7 +403,7 @@ def pair_forces(
             shape_derivatives(xi, eta, d)
             tangents(x, masters[m], d, t)
             unit_normal(t, normal)
-            if depth > allowed[f, q]:
+            if -gap[f, q] > allowed[f, q]:
                 deeper += 1
             elastic = fade * coefficient * depth**exponent
             rate = 0.0

@@ -114,6 +114,10 @@ class DynamicContact(Protocol):
         """What points have lost that let go of what they pressed on, since the start [J]."""
         ...
 
+    def begin_anew(self, history: History) -> None:
+        """Count what is dropped from here on."""
+        ...
+
 
 def account(contact: DynamicContact, history: History, dt: float) -> None:
     """Add what the last forces slid and dissipated in a step of `dt` [s] to ``history["spent"]``.

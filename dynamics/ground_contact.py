@@ -308,6 +308,9 @@ class GroundContact:
         """See `DynamicContact`; the ground has no rims."""
         return 0.0
 
+    def begin_anew(self, history: History) -> None:
+        """See `DynamicContact`."""
+
 
 def gaps(ground: Ground, x: np.ndarray) -> np.ndarray:
     """Signed distance of points (count, 3) from the ground [m]."""

@@ -422,6 +422,8 @@ def step(
         # A first kick starts from the velocity of the state's own time: nothing came before.
         before = 0.0
         work.kinetic, work.rotor_energy = first
+        for contact, history in zip(model.contacts, state.histories, strict=True):
+            contact.begin_anew(history)
         state.energy_start = energies(model, state, work).stored
         state.works[WORKS] = 0.0
         half = work.sums[WORKS].copy()

@@ -94,6 +94,7 @@ class SurfaceContact:
         self.check_every = check_every
         self.passes = surface_passes(nodes, surface, partner, joint_gap)
         self.shear = [np.zeros_like(p.pressure) for p in self.passes]
+        self._half = [half_edges(nodes, p.masters) for p in self.passes]
         self.watched = np.unique(np.concatenate([p.slaves.ravel() for p in self.passes]))
         self._moved = np.zeros(len(nodes))
         self.totals = np.zeros(TOTALS)
@@ -332,7 +333,7 @@ class SurfaceContact:
                 near.size,
                 kernels.POINTS,
                 p.areas,
-                history[f"gap{k}"] + history[f"offset{k}"],
+                self._rated(history, k),
                 margin,
                 law.traction_coefficient,
                 law.stiffness_exponent,
@@ -344,6 +345,23 @@ class SurfaceContact:
                 springs,
                 dashpots,
             )
+
+    def _rated(self, history: History, k: int) -> np.ndarray:
+        """Gaps [m] of pass `k` as the stable step takes them.
+
+        Of offsets nothing is taken off, since a point counts at its own nodes only and what it
+        presses on counts by points of its own, which may have none. Beyond a rim the force along
+        the face stiffens with the square of depth over margin: from one on, a point counts as so
+        much deeper.
+        """
+        gap, local = history[f"gap{k}"], history[f"local{k}"]
+        beyond = (gap < 0.0) & (np.abs(local) > 1.0).any(axis=2)
+        if not beyond.any():
+            return gap
+        ratio = -gap[beyond] / (self.margin * self._half[k][history[f"partner{k}"][beyond]])
+        rated = gap.copy()
+        rated[beyond] *= np.maximum(1.0, ratio * ratio)
+        return rated
 
     def _counted(self, history: History, k: int, margin: float) -> np.ndarray:
         """Near faces that touch or may within some steps, of pass `k`.
@@ -369,7 +387,7 @@ class SurfaceContact:
             track_kernels.allowed_depths(
                 p.slaves,
                 self._counted(history, k, margin),
-                history[f"gap{k}"] + history[f"offset{k}"],
+                self._rated(history, k),
                 margin,
                 growth,
                 springs,
@@ -399,3 +417,15 @@ class SurfaceContact:
     def dropped(self, history: History) -> float:
         """See `DynamicContact`."""
         return sum(float(history[f"dropped{k}"].sum()) for k in range(len(self.passes)))
+
+    def begin_anew(self, history: History) -> None:
+        """See `DynamicContact`."""
+        for k in range(len(self.passes)):
+            history[f"dropped{k}"][:] = 0.0
+
+
+def half_edges(nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Half of the shortest edge of each face [m]: what a local coordinate of one stands for."""
+    corners = nodes[faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    return np.asarray(0.5 * edges.min(axis=1))

@@ -254,26 +254,80 @@ def _along(contact: SurfaceContact, path: list[np.ndarray]) -> np.ndarray:
     return np.array(rows)
 
 
-def test_a_deep_point_is_pushed_in_over_a_rim() -> None:
-    """Sideways over the rim at a constant depth and back: what goes in comes back, sideways.
+def test_elastic_forces_are_the_gradient_of_what_points_store() -> None:
+    """By differences, in all nodes: warped faces, beyond rims and corners, offsets, fading."""
+    rng = np.random.default_rng(7)
+    nodes, up, down = two_plates(-3e-4, 0.28 * SIZE)
+    nodes[16:, 1] += 0.26 * SIZE
+    x = nodes + 1e-4 * rng.standard_normal(nodes.shape)
+    contact = SurfaceContact("pair", nodes, up, down, LAW, depth=6e-4, skin=4e-3)
+    history = contact.start(x)
+    for k in range(2):
+        depth = np.maximum(0.0, -history[f"gap{k}"])
+        history[f"offset{k}"][:] = depth * rng.uniform(0.0, 0.5, depth.shape)
+    beyond = [np.abs(history[f"local{k}"]) > 1.0 for k in range(2)]
+    touching = [(history[f"gap{k}"] < 0.0)[..., None] for k in range(2)]
+    assert sum((b & t).any(axis=2).sum() for b, t in zip(beyond, touching, strict=True)) > 8
+    assert any((b & t).all(axis=2).any() for b, t in zip(beyond, touching, strict=True))
+    assert min(history[f"gap{k}"].min() for k in range(2)) < -0.75 * 6e-4
 
-    The rows of points lie at 0.211 of a face from its edges, so one row is within the margin, 0.15
-    of a face beyond the other plate's edge, before the shift's last part.
+    def energy(y: np.ndarray, force: np.ndarray) -> float:
+        for k, p in enumerate(contact.passes):
+            kernels.project_on_partners(
+                y, p.slaves, kernels.POINTS, p.masters,
+                history[f"partner{k}"], history[f"local{k}"], history[f"gap{k}"],
+            )  # fmt: skip
+        contact.add_forces(y, np.zeros_like(y), history, force, np.zeros_like(y))
+        return float(contact.totals[ENERGY])
+
+    force, spare, step = np.zeros_like(x), np.zeros_like(x), 1e-8
+    energy(x, force)
+    slopes = np.zeros_like(x)
+    for place in np.ndindex(*x.shape):
+        ends = []
+        for sign in (1.0, -1.0):
+            y = x.copy()
+            y[place] += sign * step
+            ends.append(energy(y, spare))
+        slopes[place] = (ends[0] - ends[1]) / (2.0 * step)
+    # Central differences: measured 2e-8 of the largest force.
+    assert np.abs(force + slopes).max() < 1e-6 * np.abs(force).max()
+    assert np.abs(force[:, :2]).max() > 0.02 * np.abs(force).max()
+
+
+def test_a_point_is_pushed_off_over_a_rim_and_has_to_be_pushed_in() -> None:
+    """Sideways by a third of a face at one depth and back: the work that came out goes in again.
+
+    Points lie 0.21 of a face from its edges, so that a row of them slides off the other plate, to a
+    coordinate of 1.18 where 1.3 is the end of the margin.
     """
     contact, x = plates(-3e-4)
     x = x + 1e-5 * np.random.default_rng(5).standard_normal(x.shape)
     shift = np.concatenate([np.linspace(0.0, 0.30, 3001), np.linspace(0.30, 0.0, 3001)]) * SIZE
     rows = _along(contact, [_moved(x, (s, 0.0, 0.0)) for s in shift])
     stored, work, lost = rows[:, 0], rows[:, 1], rows[:, 2]
-    # One of six rows of points is let go of, and taken up again on the way back.
     assert stored[3000] < 0.9 * stored[0]
     assert np.abs(stored - stored[0] + work + lost).max() < 1e-5 * stored[0]
-    # The lower plate is pushed back from where the upper one goes, and as much on its way back:
-    # measured but for 0.4 %, of points that were out of sight beyond the margin for a few steps.
+    # The lower plate is pushed back from where the upper one goes, and as much on its way back: but
+    # for 0.4 %, where points of the warped plates change faces and keep what they stored.
     assert rows[:, 3].min() < -0.02 * rows[0, 5]
     assert np.abs(rows[:, 3] - rows[::-1, 3]).max() < 1e-2 * np.abs(rows[:, 3]).max()
     assert abs(lost[-1]) < 1e-3 * stored[0]
     assert stored[-1] == pytest.approx(stored[0], rel=2e-3)
+
+
+def test_a_point_that_comes_in_deep_from_afar_presses_by_what_it_sinks_in_further() -> None:
+    """From beyond the margin there is no force on the way in, and none where it stays as deep."""
+    contact, x = plates(-1.5e-4)
+    shift = np.concatenate([np.linspace(0.0, 0.45, 2001), np.linspace(0.45, 0.0, 2001)]) * SIZE
+    path = [_moved(x, (s, 0.0, 0.0)) for s in shift]
+    rows = _along(contact, path)
+    # A row of six is let go of beyond the margin, with what it stored, and offset from then on.
+    assert rows[-1, 0] == pytest.approx(rows[0, 0] * 5.0 / 6.0, rel=0.02)
+    assert np.abs(rows[:, 0] - rows[0, 0] + rows[:, 1] + rows[:, 2]).max() < 1e-4 * rows[0, 0]
+    deeper = _along(contact, [*path, *(_moved(x, (0, 0, -z)) for z in np.linspace(0, 5e-5, 50))])
+    fresh = _along(contact, [_moved(x, (0, 0, -5e-5))])
+    assert rows[-1, 5] < deeper[-1, 5] < fresh[0, 5] or rows[-1, 5] > deeper[-1, 5] > fresh[0, 5]
 
 
 def test_no_way_round_makes_energy() -> None:
@@ -298,7 +352,6 @@ def test_no_way_round_makes_energy() -> None:
     stored, work, lost = rows[:, 0], rows[:, 1], rows[:, 2]
     pressed = np.maximum(0.0, -np.diff(work)).sum()
     gap = np.abs(stored - stored[0] + work + lost).max()
-    print(stored.max(), pressed, gap, lost[-1], np.diff(lost).min())
     assert gap < 1e-3 * pressed
     assert np.diff(lost).min() > -1e-9 * pressed
     assert lost[-1] > 0.0

@@ -378,6 +378,7 @@ def test_momentum_is_kept_by_a_body_that_folds_onto_itself() -> None:
     clap = 1.5 * (np.minimum(x[:, 0], 0.0) / 0.025) ** 2  # towards each other at their ends
     velocity[:, 2] -= np.sign(x[:, 2]) * clap
     state, work = model.start(velocity=velocity), Workspace(model)
+    state.histories[0]["dropped0"][0] = 1.0  # [J] of a time before: not on this ledger
     now, kept, lost = np.zeros(10), [], []
 
     def record(s: State) -> None:
@@ -391,7 +392,7 @@ def test_momentum_is_kept_by_a_body_that_folds_onto_itself() -> None:
     angular = max(np.abs(k[3:] - kept[0][3:]).max() for k in kept) / (size * 0.025)
     print(f"linear {linear:.1e}, angular {angular:.1e}, points {contact.most}, lost {lost[-1]:.3f}")
     # The arms met, and contact took energy.
-    assert contact.most > 20.0 and lost[-1] > 0.02
+    assert contact.most > 20.0 and 0.02 < lost[-1] < 0.1
     assert strip.pierced(state.x) == 0
     # Round-off of some thousand sums of forces larger than the momentum they change; measured
     # 8e-16 and 3e-16.
