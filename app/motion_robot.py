@@ -178,6 +178,30 @@ class LegTargets:
 
 
 @dataclass(frozen=True)
+class SensedTargets:
+    """What the servos of some legs aim at: their part of a gait that feels the robot's turn."""
+
+    gait: Any
+    rows: np.ndarray  # of the gait's six, shape (joint_count,)
+
+    def nothing_begun(self) -> np.ndarray:
+        """See `joints.Sensing`."""
+        return np.asarray(self.gait.nothing_begun())
+
+    def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
+        """See `joints.Sensing`."""
+        self.gait.sense(time, turn, begun)
+
+    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        """See `joints.Sensing`."""
+        return np.asarray(self.gait.targets(time, begun))[self.rows]
+
+    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        """See `joints.Sensing`."""
+        return np.asarray(self.gait.rates(time, begun))[self.rows]
+
+
+@dataclass(frozen=True)
 class HeldTargets:
     """Angles at rest [rad]."""
 
@@ -194,6 +218,7 @@ class HeldTargets:
 
 def make_joints(loaded: LoadedCase, legs: Legs, rigid: RigidParts) -> JointSystem:
     """The joints with the case's gait."""
+    from flexapod.dynamics.gait import PAIRS, GaitSensed
     from flexapod.dynamics.joints import JointSystem
 
     spec = loaded.case.gait
@@ -205,11 +230,26 @@ def make_joints(loaded: LoadedCase, legs: Legs, rigid: RigidParts) -> JointSyste
     rows = np.array(legs.numbers, dtype=np.int64) - 1
     if len(set(rows % 2)) == 1:
         _check_alike(gait, f"{loaded.source}: gait")
-    return JointSystem(legs.joints, rigid.bodies, rigid.centres, LegTargets(gait, rows))
+    command = (SensedTargets if isinstance(gait, GaitSensed) else LegTargets)(gait, rows)
+    middle = next(k for k, number in enumerate(legs.numbers) if number in PAIRS["middle"])
+    return JointSystem(legs.joints, rigid.bodies, rigid.centres, command, sensor=middle)
 
 
 def _check_alike(gait: Any, where: str) -> None:
     """Of half a robot left and right legs must do the same."""
+    from flexapod.dynamics.gait import GaitSensed
+
+    if isinstance(gait, GaitSensed):
+        alone = [
+            m.legs for m in gait.moves if {leg + leg % 2 * 2 - 1 for leg in m.legs} - {*m.legs}
+        ]
+        if alone:
+            raise InputError(
+                "half of a robot is modelled, and a move of it names legs "
+                f"{''.join(map(str, alone[0]))} without those on the other side",
+                where,
+            )
+        return
     period = gait.period if math.isfinite(gait.period) else 1.0
     end = gait.end if math.isfinite(gait.end) else 3.0 * period
     for time in np.linspace(0.0, end, 301):

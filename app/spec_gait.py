@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from flexapod.app.spec_base import Table, default_text, one_or_many
@@ -11,7 +12,15 @@ from flexapod.core.errors import InputError
 from flexapod.core.units import Angle, PositiveTime, Time
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.gait import Gait, GaitHold, GaitPairs, GaitPronk, GaitTable, GaitWalk
+    from flexapod.dynamics.gait import (
+        Gait,
+        GaitHold,
+        GaitPairs,
+        GaitPronk,
+        GaitSensed,
+        GaitTable,
+        GaitWalk,
+    )
 
 
 def _not_negative(value: float) -> float:
@@ -295,6 +304,43 @@ class GaitTableSpec(_Started):
         return GaitTable.of_legs(self.legs, repeat=self.repeat, start=self.start)
 
 
+class MoveSpec(Table):
+    """A move of some legs: it begins at a time, or once the robot has rolled so far."""
+
+    legs: str = Field(description='Digits of the legs, for example "34".')
+    angles: tuple[tuple[Time, Angle], ...] = Field(
+        description="Pairs of the time since it began, ascending from 0 s, and an angle; linear "
+        "between, the last one stays. It begins where the move before ended."
+    )
+    start: NotNegativeTime | None = Field(default=None, description="When it begins.")
+    turn: Angle | None = Field(
+        default=None,
+        description="How far the robot has rolled forward when it begins, whole turns counted.",
+    )
+
+
+class GaitSensedSpec(_GaitTableBase):
+    """Moves that begin at a time or by the robot's own turn, as an inertial sensor feels it."""
+
+    type: Literal["sensed"]
+    move: tuple[MoveSpec, ...] = Field(
+        description="In order; of a leg one begins only after those before have ended."
+    )
+
+    def gait(self) -> GaitSensed:
+        """See `GaitSensed`."""
+        from flexapod.dynamics.gait import GaitSensed, Move
+
+        moves = []
+        for spec in self.move:
+            if not spec.legs or not set(spec.legs) <= set("123456"):
+                raise InputError(f'legs are named by digits, such as "34", got "{spec.legs}"')
+            rows = np.array(spec.angles, dtype=float).reshape(-1, 2)
+            legs = tuple(map(int, spec.legs))
+            moves.append(Move(legs, rows[:, 0], rows[:, 1], spec.start, spec.turn))
+        return GaitSensed(tuple(moves))
+
+
 class GaitHoldSpec(_GaitTableBase):
     """The legs stay where they are."""
 
@@ -317,6 +363,7 @@ GaitSpec = Annotated[
     | GaitPronkSpec
     | GaitPairsSpec
     | GaitTableSpec
+    | GaitSensedSpec
     | GaitHoldSpec,
     Field(discriminator="type"),
 ]
@@ -326,6 +373,7 @@ __all__ = [
     "GaitHoldSpec",
     "GaitPairsSpec",
     "GaitPronkSpec",
+    "GaitSensedSpec",
     "GaitSpec",
     "GaitSpotTurnSpec",
     "GaitTableSpec",

@@ -403,7 +403,7 @@ def pair_forces(
             shape_derivatives(xi, eta, d)
             tangents(x, masters[m], d, t)
             unit_normal(t, normal)
-            if -gap[f, q] > allowed[f, q]:
+            if depth > allowed[f, q]:
                 deeper += 1
             elastic = fade * coefficient * depth**exponent
             rate = 0.0
@@ -520,7 +520,7 @@ def contact_rates(
 
     Gershgorin's bound row by row: a point of stiffness k adds ``factor k N_a / m_a`` to its
     node a of `springs` (node_count,) [1/s2], and a dashpot likewise to `dashpots` [1/s]; `factor`
-    counts the faces it ties together (1 or 2). Both are taken `margin` [m] deeper than the point
+    counts the faces it ties together. Both are taken `margin` [m] deeper than the point
     is, and so deep too where it does not touch yet, since it may before the next estimate; the
     dashpot at 1 m/s where it is not linear. Sticking acts across the normal, so that only the
     larger of `stick` [Pa/m] and the normal stiffness counts.
@@ -541,10 +541,86 @@ def contact_rates(
 
 
 @kernel
+def pair_rates(
+    faces: Any,
+    near: Any,
+    near_count: int,
+    points: Any,
+    areas: Any,
+    masters: Any,
+    halves: Any,
+    partner: Any,
+    local: Any,
+    gap: Any,
+    offset: Any,
+    margin: float,
+    rim_margin: float,
+    coefficient: float,
+    exponent: float,
+    damping: float,
+    indentation_exponent: float,
+    stick: float,
+    share: float,
+    inverse_mass: Any,
+    springs: Any,
+    dashpots: Any,
+) -> None:
+    """As `contact_rates`, of points that press on faces: their stiffness counts on both sides.
+
+    A point of stiffness k, weighed by `share`, adds ``2 share k N_a / m_a`` to its own nodes and to
+    those of its partner, since each of both may be deep by points of its own or by the other's. One
+    without a partner counts twice at its own. It presses by its depth less its `offset`. Beyond a
+    rim the force along the face stiffens with the square of depth over margin, `rim_margin` times
+    `halves` (master_count,) [m], half the partner's edge.
+    """
+    n = np.empty(4)
+    for k in range(near_count):
+        f = near[k]
+        for q in range(points.shape[0]):
+            press = max(0.0, -gap[f, q] - offset[f, q])
+            depth = margin + press
+            spring = max(stick, coefficient * exponent * depth ** (exponent - 1.0))
+            dashpot = damping * depth**indentation_exponent
+            m = partner[f, q]
+            weight = 2.0 * share * areas[f, q]
+            if m < 0:
+                weight *= 2.0
+            elif press > 0.0 and (abs(local[f, q, 0]) > 1.0 or abs(local[f, q, 1]) > 1.0):
+                ratio = depth / (rim_margin * halves[m])
+                spring *= max(1.0, ratio * ratio)
+            shape(points[q, 0], points[q, 1], n)
+            for a in range(4):
+                node = faces[f, a]
+                part = weight * n[a] * inverse_mass[node]
+                springs[node] += spring * part
+                dashpots[node] += dashpot * part
+            if m < 0:
+                continue
+            shape(local[f, q, 0], local[f, q, 1], n)
+            for a in range(4):
+                node = masters[m, a]
+                part = weight * abs(n[a]) * inverse_mass[node]
+                springs[node] += spring * part
+                dashpots[node] += dashpot * part
+
+
+@inline_kernel
+def _room(node: int, springs: Any, dashpots: Any, elements: Any, omega: float) -> float:
+    """How often the rates of contact at a node fit into what `omega` leaves of it."""
+    more = springs[node] + omega * dashpots[node]
+    if not more > 0.0:
+        return math.inf
+    return float((omega * omega - elements[node]) / more)
+
+
+@kernel
 def allowed_depths(
     faces: Any,
     counted: Any,
+    masters: Any,
+    partner: Any,
     gap: Any,
+    offset: Any,
     margin: float,
     growth: float,
     springs: Any,
@@ -553,28 +629,29 @@ def allowed_depths(
     omega: float,
     allowed: Any,
 ) -> None:
-    """Fill `allowed` (face_count, point_count): how deep points may go [m] at a frequency bound.
+    """Fill `allowed` (face_count, point_count): how far points may press in [m] at a frequency.
 
     The points of the faces `counted` have their share in `springs` [1/s2] and `dashpots` [1/s]
-    (node_count,), see `contact_rates`, at `margin` [m] beyond their depth. Beside
+    (node_count,), see `pair_rates`, at `margin` [m] beyond their depth less their `offset`. Beside
     what `elements` (node_count,) [1/s2] ask for, those may grow until ``elements + springs + omega
-    dashpots`` of the node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the
+    dashpots`` of a node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the
     frequency. They grow with the depth to the power `growth` at most. Points of other faces have no
-    share: they may not touch. What a point presses on has points of its own, which are counted in
-    the same way.
+    share: they may not touch.
     """
     allowed[:] = 0.0
     for k in range(counted.shape[0]):
         f = counted[k]
-        room = math.inf
+        own = math.inf
         for a in range(4):
-            node = faces[f, a]
-            more = springs[node] + omega * dashpots[node]
-            if more > 0.0:
-                room = min(room, (omega * omega - elements[node]) / more)
-        scale = max(room, 1.0) ** (1.0 / growth)
+            own = min(own, _room(faces[f, a], springs, dashpots, elements, omega))
         for q in range(gap.shape[1]):
-            allowed[f, q] = scale * (margin - min(gap[f, q], 0.0))
+            room = own
+            if partner[f, q] >= 0:
+                for a in range(4):
+                    node = masters[partner[f, q], a]
+                    room = min(room, _room(node, springs, dashpots, elements, omega))
+            scale = max(room, 1.0) ** (1.0 / growth)
+            allowed[f, q] = scale * (margin + max(0.0, -gap[f, q] - offset[f, q]))
 
 
 @inline_kernel

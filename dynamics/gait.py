@@ -750,6 +750,133 @@ def _check_ascending(times: np.ndarray, name: str) -> None:
 
 
 @dataclass(frozen=True)
+class Move:
+    """What some legs do once: angles over the time since it began.
+
+    Attributes
+    ----------
+    legs
+        Numbers 1 to 6.
+    times, angles
+        [s] ascending from 0 and [rad], shape (N,); linear between, the last angle stays.
+    start
+        When it begins [s]; None where the robot's turn says so.
+    turn
+        How far the robot has rolled forward when it begins [rad]; None where the time says so.
+    """
+
+    legs: tuple[int, ...]
+    times: np.ndarray
+    angles: np.ndarray
+    start: float | None = None
+    turn: float | None = None
+
+    def __post_init__(self) -> None:
+        name = "".join(map(str, self.legs))
+        times, angles = np.array(self.times, dtype=float), np.array(self.angles, dtype=float)
+        if not self.legs or not set(self.legs) <= set(range(1, LEG_COUNT + 1)):
+            raise InputError(f'legs are named by digits, such as "34", got "{name}"', _WHERE)
+        _check_ascending(times, f"times of a move of legs {name}")
+        if angles.shape != times.shape or not np.isfinite(angles).all():
+            raise InputError(f"a move of legs {name} needs an angle for each time", _WHERE)
+        if (self.start is None) == (self.turn is None):
+            raise InputError(
+                f"a move of legs {name} begins either at a time or at a turn of the robot", _WHERE
+            )
+        for key, value in (("start", self.start), ("turn", self.turn)):
+            if value is not None:
+                check_finite(key, value, "s" if key == "start" else "rad", _WHERE)
+        for key, array in (("times", times), ("angles", angles)):
+            array.flags.writeable = False
+            object.__setattr__(self, key, array)
+
+
+@dataclass(frozen=True)
+class GaitSensed:
+    """Moves that begin at a time, or when the robot has rolled so far: it feels its own turn.
+
+    What has begun is no function of time, so it is kept outside: `begun` (move_count,), the times
+    when moves began [s], infinite where they have not. A move begins once, and not before the moves
+    named earlier of the same legs have ended.
+    """
+
+    moves: tuple[Move, ...]
+
+    def __post_init__(self) -> None:
+        ends: dict[int, float] = {}
+        for move in self.moves:
+            for leg in move.legs:
+                if abs(ends.get(leg, move.angles[0]) - move.angles[0]) > _SAME_ANGLE:
+                    raise InputError(
+                        f"leg {leg} ends a move at {math.degrees(ends[leg]):g} deg and begins the "
+                        f"next one at {math.degrees(move.angles[0]):g} deg: no leg can jump",
+                        _WHERE,
+                    )
+                ends[leg] = float(move.angles[-1])
+        missing = [str(leg) for leg in range(1, LEG_COUNT + 1) if leg not in ends]
+        if missing:
+            raise InputError(
+                f"no move names legs {', '.join(missing)}: one that shall stay has a move of a "
+                "single time and angle",
+                _WHERE,
+            )
+
+    @property
+    def period(self) -> float:
+        """Infinite."""
+        return math.inf
+
+    @property
+    def end(self) -> float:
+        """Infinite: the robot may go on to turn."""
+        return math.inf
+
+    def nothing_begun(self) -> np.ndarray:
+        """`begun` before the first moment."""
+        return np.full(len(self.moves), math.inf)
+
+    def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
+        """Write into `begun` what begins at `time` [s] and `turn` [rad], rolled forward."""
+        free = dict.fromkeys(range(1, LEG_COUNT + 1), -math.inf)  # when a leg's moves have ended
+        for k, move in enumerate(self.moves):
+            ready = max(free[leg] for leg in move.legs)
+            if begun[k] == math.inf and time >= ready:
+                if move.start is not None and time >= move.start:
+                    begun[k] = max(move.start, ready)
+                elif move.turn is not None and turn >= move.turn:
+                    begun[k] = time
+            for leg in move.legs:
+                free[leg] = begun[k] + move.times[-1]
+
+    def _legs(self, time: float, begun: np.ndarray | None, rates: bool) -> np.ndarray:
+        """Angles or rates of all legs; without `begun` those of before the first moment."""
+        result = np.full(LEG_COUNT, math.nan)
+        for k, move in enumerate(self.moves):
+            since = -1.0 if begun is None else time - float(begun[k])
+            first = [leg for leg in move.legs if math.isnan(result[leg - 1])]
+            legs = move.legs if since >= 0.0 else first
+            row = int(np.searchsorted(move.times, since, side="right")) - 1
+            if not rates:
+                value = float(np.interp(since, move.times, move.angles))
+            elif 0 <= row < move.times.size - 1:
+                way = move.angles[row + 1] - move.angles[row]
+                value = float(way / (move.times[row + 1] - move.times[row]))
+            else:
+                value = 0.0
+            for leg in legs:
+                result[leg - 1] = value
+        return result
+
+    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        """Angles [rad], shape (6,)."""
+        return self._legs(time, begun, rates=False)
+
+    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        """Derivative of `targets` [rad/s], shape (6,)."""
+        return self._legs(time, begun, rates=True)
+
+
+@dataclass(frozen=True)
 class GaitHold:
     """All legs stay at one angle [rad]."""
 
@@ -785,7 +912,9 @@ __all__ = [
     "GaitHold",
     "GaitPairs",
     "GaitPronk",
+    "GaitSensed",
     "GaitTable",
     "GaitWalk",
+    "Move",
     "TwoPhaseClock",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +27,30 @@ class Targets(Protocol):
         ...
 
     def rates(self, time: float) -> np.ndarray:
+        """Their rates [rad/s], shape (joint_count,)."""
+        ...
+
+
+@runtime_checkable
+class Sensing(Protocol):
+    """What servos aim at that feel how far the robot has rolled.
+
+    What has begun of it is part of the joints' state: "begun", as `nothing_begun` makes it.
+    """
+
+    def nothing_begun(self) -> np.ndarray:
+        """Before the first moment."""
+        ...
+
+    def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
+        """Write into `begun` what begins at `time` [s] and `turn` [rad]."""
+        ...
+
+    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        """Angles [rad], shape (joint_count,)."""
+        ...
+
+    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
         """Their rates [rad/s], shape (joint_count,)."""
         ...
 
@@ -153,6 +177,8 @@ class JointSystem:
         Rigid bodies and their centres of mass in the reference configuration [m].
     command
         What the servos aim at.
+    sensor
+        The joint whose parent feels the turn that a sensing command goes by.
 
     Raises
     ------
@@ -161,10 +187,16 @@ class JointSystem:
     """
 
     def __init__(
-        self, joints: Sequence[Joint], bodies: RigidBodies, centres: np.ndarray, command: Targets
+        self,
+        joints: Sequence[Joint],
+        bodies: RigidBodies,
+        centres: np.ndarray,
+        command: Targets | Sensing,
+        sensor: int = 0,
     ) -> None:
         self.joints = tuple(joints)
         self.command = command
+        self.sensor = sensor
         count = len(self.joints)
         rows = {name: row for row, name in enumerate(bodies.names)}
         for joint in self.joints:
@@ -290,9 +322,15 @@ class JointSystem:
         state: JointState,
     ) -> float:
         """Fill `load` with what joints do to the bodies; returns what their springs store [J]."""
-        self.target[:] = self.command.targets(time)
-        if self._needs_rates:
-            self.target_rate[:] = self.command.rates(time)
+        if isinstance(self.command, Sensing):
+            begun = self._sense(self.command, time, rigid_q, state)
+            self.target[:] = self.command.targets(time, begun)
+            if self._needs_rates:
+                self.target_rate[:] = self.command.rates(time, begun)
+        else:
+            self.target[:] = self.command.targets(time)
+            if self._needs_rates:
+                self.target_rate[:] = self.command.rates(time)
         joint_kernels.spins(
             rigid.inertia, rigid.free, rigid_q, rigid_l, self.rotation, self.omega_before
         )
@@ -317,6 +355,24 @@ class JointSystem:
             self.axis,
         )
         return float(self.stored[:3].sum())
+
+    def _sense(
+        self, command: Sensing, time: float, rigid_q: np.ndarray, state: JointState
+    ) -> np.ndarray:
+        """What has begun of a sensing command, now that the robot has turned as it has.
+
+        The turn is that of the `sensor` joint's parent about y, counted on over whole turns: "turn"
+        (2,) [rad] of the state, now and at the first moment.
+        """
+        w, _, y, _ = rigid_q[self.bodies[self.sensor, 0]]
+        turn = 2.0 * math.atan2(y, w)
+        if "begun" not in state:
+            state["begun"] = command.nothing_begun()
+            state["turn"] = np.array([turn, turn])
+        before, first = state["turn"]
+        state["turn"][0] = turn + 2.0 * math.pi * round((before - turn) / (2.0 * math.pi))
+        command.sense(time, float(state["turn"][0] - first), state["begun"])
+        return state["begun"]
 
     def kick(
         self,

@@ -327,41 +327,30 @@ class SurfaceContact:
         law = self.law
         for k, p in enumerate(self.passes):
             near = self._counted(history, k, margin)
-            track_kernels.contact_rates(
+            track_kernels.pair_rates(
                 p.slaves,
                 near,
                 near.size,
                 kernels.POINTS,
                 p.areas,
-                self._rated(history, k),
+                p.masters,
+                self._half[k],
+                history[f"partner{k}"],
+                history[f"local{k}"],
+                history[f"gap{k}"],
+                history[f"offset{k}"],
                 margin,
+                self.margin,
                 law.traction_coefficient,
                 law.stiffness_exponent,
                 law.damping_coefficient,
                 law.indentation_exponent,
                 law.stick_stiffness if self.friction.static > 0.0 else 0.0,
-                2.0,
+                SHARE,
                 inverse_mass,
                 springs,
                 dashpots,
             )
-
-    def _rated(self, history: History, k: int) -> np.ndarray:
-        """Gaps [m] of pass `k` as the stable step takes them.
-
-        Of offsets nothing is taken off, since a point counts at its own nodes only and what it
-        presses on counts by points of its own, which may have none. Beyond a rim the force along
-        the face stiffens with the square of depth over margin: from one on, a point counts as so
-        much deeper.
-        """
-        gap, local = history[f"gap{k}"], history[f"local{k}"]
-        beyond = (gap < 0.0) & (np.abs(local) > 1.0).any(axis=2)
-        if not beyond.any():
-            return gap
-        ratio = -gap[beyond] / (self.margin * self._half[k][history[f"partner{k}"][beyond]])
-        rated = gap.copy()
-        rated[beyond] *= np.maximum(1.0, ratio * ratio)
-        return rated
 
     def _counted(self, history: History, k: int, margin: float) -> np.ndarray:
         """Near faces that touch or may within some steps, of pass `k`.
@@ -387,7 +376,10 @@ class SurfaceContact:
             track_kernels.allowed_depths(
                 p.slaves,
                 self._counted(history, k, margin),
-                self._rated(history, k),
+                p.masters,
+                history[f"partner{k}"],
+                history[f"gap{k}"],
+                history[f"offset{k}"],
                 margin,
                 growth,
                 springs,

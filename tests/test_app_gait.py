@@ -93,6 +93,13 @@ def test_a_table_of_legs() -> None:
         {"type": "tripod", "turn_time": "0.1 s", "start_angle": "33.3 deg"},
         {"type": "pairs", "rounds": 2, "push_angle": "360 deg"},
         {"type": "table", "legs": {"123456": [["0 s", "0 deg"], ["1 s", "1 rad"]]}},
+        {
+            "type": "sensed",
+            "move": [
+                {"legs": "3456", "start": "1 s", "angles": [["0 s", "1 rad"], ["1 s", "0 deg"]]},
+                {"legs": "12", "turn": "3.3 deg", "angles": [["0 s", "1 rad"]]},
+            ],
+        },
     ],
 )
 def test_what_is_written_back_reads_the_same(table: dict[str, Any]) -> None:
@@ -103,7 +110,10 @@ def test_what_is_written_back_reads_the_same(table: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("table", "text"),
     [
-        ({"type": "trot"}, "'tripod', 'together', 'spot_turn', 'pronk', 'pairs', 'table', 'hold'"),
+        (
+            {"type": "trot"},
+            "'tripod', 'together', 'spot_turn', 'pronk', 'pairs', 'table', 'sensed', 'hold'",
+        ),
         ({"type": "tripod", "extent": 60}, "write an angle with its unit"),
         ({"type": "tripod", "extent": "0 deg"}, "extent must lie between 0 and 360 deg"),
         ({"type": "tripod", "slow_time": "3 s"}, "slow_time must lie between 0 and the period"),
@@ -114,6 +124,12 @@ def test_what_is_written_back_reads_the_same(table: dict[str, Any]) -> None:
         ({"type": "pairs", "order": ["tail"]}, "'front', 'middle' or 'back'"),
         ({"type": "pairs", "order": ["back", "back"]}, "different ones"),
         ({"type": "table", "legs": {"1": [["0 s", "0 deg"]]}}, "leaves out legs 2, 3, 4, 5, 6"),
+        ({"type": "sensed", "move": [{"legs": "x", "angles": [], "start": "0 s"}]}, "by digits"),
+        ({"type": "sensed", "move": [{"legs": "1", "angles": [], "start": "0 s"}]}, "ascend"),
+        (
+            {"type": "sensed", "move": [{"legs": "1", "angles": [["0 s", "0 deg"]]}]},
+            "either at a time or at a turn",
+        ),
     ],
 )
 def test_what_is_refused(table: dict[str, Any], text: str) -> None:

@@ -424,6 +424,39 @@ def test_a_run_that_was_cut_goes_on_with_the_same_rows(
     assert again == (tmp_path / "whole" / "curve.csv").read_bytes()
 
 
+def test_what_has_begun_by_the_turn_is_kept_over_a_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot that is kicked by its front legs feels it with the middle ones, before the cut."""
+    case = tmp_path / "kicked.toml"
+    moves = [
+        '{legs = "12", start = "0 s", angles = [["0 s", "0 deg"], ["0.1 s", "30 deg"]]}',
+        '{legs = "34", turn = "0.05 deg", angles = [["0 s", "0 deg"], ["1 s", "90 deg"]]}',
+        '{legs = "56", start = "0 s", angles = [["0 s", "0 deg"]]}',
+    ]
+    case.write_text(
+        f'extends = "walk_tripod"\n[gait]\ntype = "sensed"\nmove = [{", ".join(moves)}]\n',
+        encoding="utf-8",
+    )
+    settings = ('start.set_down="50 ms"', "dynamics.checkpoint=4")
+    loaded = short(str(case), "0.12 s", *settings)
+    done = run_case(loaded, tmp_path / "whole")
+    assert done.status is Status.DONE
+    rows = np.genfromtxt(tmp_path / "whole" / "curve.csv", delimiter=",", names=True)
+    middle = rows["leg_3_target_deg"]
+    begun = int(np.flatnonzero(middle)[0])
+    assert 2 < begun < 14
+    assert middle[-1] - middle[begun] == pytest.approx(90.0 * 5e-3 * (len(middle) - 1 - begun))
+    again = cut_and_resumed(loaded, tmp_path / "cut", 15, monkeypatch)
+    assert again == (tmp_path / "whole" / "curve.csv").read_bytes()
+    # Half a robot cannot move one side only.
+    with pytest.raises(InputError, match="legs 1 without those on the other side"):
+        moves = '[{legs="1",start="0 s",angles=[["0 s","0 deg"]]},'
+        moves += '{legs="23456",start="0 s",angles=[["0 s","0 deg"]]}]'
+        table = f'gait={{type="sensed",move={moves}}}'
+        assemble_motion(load_case("roll_active", [table]), None, print, settle=False)
+
+
 def test_soft_robot_bears_its_weight_on_its_legs() -> None:
     """After it was set down, soles and underside press with the weight: within what still swings.
 

@@ -15,8 +15,10 @@ from flexapod.dynamics.gait import (
     GaitHold,
     GaitPairs,
     GaitPronk,
+    GaitSensed,
     GaitTable,
     GaitWalk,
+    Move,
     TwoPhaseClock,
 )
 
@@ -304,6 +306,42 @@ def test_a_table_of_legs_by_hand() -> None:
     assert again.targets(4.25) / DEG == pytest.approx([900, 10, 10, 900, 22.5, 10], abs=1e-10)
 
 
+def move(
+    legs: str, *points: tuple[float, float], start: float | None = None, turn: float | None = None
+) -> Move:
+    """A move by digits, degrees and seconds."""
+    rows = np.array(points)
+    turned = None if turn is None else turn * DEG
+    return Move(tuple(map(int, legs)), rows[:, 0], rows[:, 1] * DEG, start, turned)
+
+
+def test_moves_begin_by_time_or_by_turn_and_in_their_order() -> None:
+    gait = GaitSensed(
+        (
+            move("34", (0, 180), (1, 0), start=0.5),
+            move("34", (0, 0), (2, -200), turn=90),
+            move("1256", (0, 180), (1, 90), turn=120),
+        )
+    )
+    begun = gait.nothing_begun()
+    assert gait.targets(7.0) / DEG == pytest.approx([180] * 6)
+    # Time, turn, and then: angles of legs 3 and 1, their rates.
+    for time, turn, third, first, fast, slow in (
+        (0.0, 0.0, 180.0, 180.0, 0.0, 0.0),
+        (1.0, 130.0, 90.0, 180.0, -180.0, 90.0 * -1.0),  # 1256 begins now; 34 is not free yet
+        (1.25, 10.0, 45.0, 157.5, -180.0, -90.0),
+        (1.6, 10.0, 0.0, 126.0, 0.0, -90.0),  # not turned far enough any more
+        (1.75, 95.0, 0.0, 112.5, -100.0, -90.0),
+        (2.25, 0.0, -50.0, 90.0, -100.0, 0.0),
+        (9.0, 0.0, -200.0, 90.0, 0.0, 0.0),
+    ):
+        gait.sense(time, turn * DEG, begun)
+        angles, rates = gait.targets(time, begun) / DEG, gait.rates(time, begun) / DEG
+        assert angles == pytest.approx([first, first, third, third, first, first], abs=1e-9)
+        assert rates == pytest.approx([slow, slow, fast, fast, slow, slow], abs=1e-9)
+    assert list(begun) == [0.5, 1.75, 1.0]
+
+
 def test_arrays_cannot_be_spoiled() -> None:
     gait = _table()
     for time in (0.0, 9.0):
@@ -363,6 +401,20 @@ def test_arrays_cannot_be_spoiled() -> None:
         (lambda: GaitTable.of_legs({"1": []}), "need pairs"),
         (lambda: GaitTable.of_legs({"123456": [(0.0, 0.0)]}), "no leg of the table moves"),
         (lambda: GaitHold(math.nan), "angle must be finite"),
+        (lambda: GaitSensed((move("12", (0, 0), start=0.0),)), "no move names legs 3, 4, 5, 6"),
+        (
+            lambda: GaitSensed(
+                (
+                    move("123456", (0, 180), (1, 90), start=0.0),
+                    move("3", (0, 180), (1, 0), turn=90.0),
+                )
+            ),
+            "leg 3 ends a move at 90 deg and begins the next one at 180 deg",
+        ),
+        (lambda: move("12", (0, 0)), "either at a time or at a turn"),
+        (lambda: move("12", (0, 0), start=1.0, turn=1.0), "either at a time or at a turn"),
+        (lambda: move("12", (1, 0), start=1.0), "ascend from 0"),
+        (lambda: move("78", (0, 0), start=1.0), "named by digits"),
     ],
 )  # fmt: skip
 def test_what_is_refused(make: Callable[[], Any], text: str) -> None:

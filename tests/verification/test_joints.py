@@ -52,7 +52,7 @@ HIP = 0.02  # half of the leg's length less what sticks out above the hip
 
 
 def two_legged(
-    command: Still,
+    command: Still | Feeling,
     servo: Servo | None = None,
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     torso_free: bool = True,
@@ -80,6 +80,46 @@ def two_legged(
         gravity=gravity,
     )
     return model, model.start(), Workspace(model)
+
+
+class Feeling:
+    """A quarter turn of the first leg once the torso has turned by five radians."""
+
+    def __init__(self, at: float) -> None:
+        self.at = at
+
+    def nothing_begun(self) -> np.ndarray:
+        return np.full(1, math.inf)
+
+    def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
+        if begun[0] == math.inf and turn >= self.at:
+            begun[0] = time
+
+    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        on = begun is not None and time >= begun[0]
+        return np.array([0.5 * math.pi if on else 0.0, 0.0])
+
+    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
+        return np.zeros(2)
+
+
+@pytest.mark.parametrize(("spin", "begins"), [(50.0, 0.1), (-50.0, math.inf)])
+def test_servos_feel_how_far_their_robot_has_turned(spin: float, begins: float) -> None:
+    """Whole turns are counted on, from wherever it lay at first; turned back nothing begins."""
+    dt = 2e-5
+    model, state, work = two_legged(Feeling(5.0), torso_free=False)
+    first = 0.5 * 2.0  # half of two radians: it lies turned by these
+    state.rigid_q[0] = [math.cos(first), 0.0, math.sin(first), 0.0]
+    for k in range(round(0.12 / dt)):
+        state.time = k * dt
+        angle = first + 0.5 * spin * state.time
+        state.rigid_q[0] = [math.cos(angle), 0.0, math.sin(angle), 0.0]
+        step(model, state, work, dt)
+    assert state.joints["begun"][0] == pytest.approx(begins, abs=1.01 * dt)
+    assert state.joints["turn"][0] == pytest.approx(2.0 + spin * (0.12 - dt), abs=1e-9)
+    kept = State.from_arrays(*state.to_arrays())
+    np.testing.assert_array_equal(kept.joints["turn"], state.joints["turn"])
+    np.testing.assert_array_equal(kept.joints["begun"], state.joints["begun"])
 
 
 def momenta(model: Model, state: State) -> np.ndarray:
