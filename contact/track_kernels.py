@@ -369,7 +369,7 @@ def pair_forces(
     faces. `totals` (TOTALS,) gains the sums of `contact.law_kernels`; forces are on the slave side.
     `share` weighs the points, one half where both surfaces take the slave's part in turn.
 
-    Returns how many points are deeper than `allowed` (face_count, point_count) [m].
+    Returns how many points press deeper than `allowed` (face_count, point_count) [m].
     """
     deeper = 0
     ns = np.empty(4)
@@ -540,6 +540,12 @@ def contact_rates(
                 dashpots[node] += dashpot * part
 
 
+@inline_kernel
+def _beyond(local: Any, f: int, q: int) -> bool:
+    """Whether a point lies beyond its partner's edge."""
+    return bool(abs(local[f, q, 0]) > 1.0 or abs(local[f, q, 1]) > 1.0)
+
+
 @kernel
 def pair_rates(
     faces: Any,
@@ -567,11 +573,12 @@ def pair_rates(
 ) -> None:
     """As `contact_rates`, of points that press on faces: their stiffness counts on both sides.
 
-    A point of stiffness k, weighed by `share`, adds ``2 share k N_a / m_a`` to its own nodes and to
-    those of its partner, since each of both may be deep by points of its own or by the other's. One
-    without a partner counts twice at its own. It presses by its depth less its `offset`. Beyond a
-    rim the force along the face stiffens with the square of depth over margin, `rim_margin` times
-    `halves` (master_count,) [m], half the partner's edge.
+    A point of stiffness k, weighed by `share`, adds ``2 share k N_a / m_a``, the row sum of
+    Gershgorin's bound, to its own nodes and to those of its partner: either may be deep by points
+    of its own or by the other's. At its own it counts twice, for what presses there once partners
+    have changed. It presses by its depth less its `offset`. Beyond a rim the force along the face
+    stiffens with the square of depth over margin, `rim_margin` times `halves` (master_count,) [m],
+    half the partner's edge.
     """
     n = np.empty(4)
     for k in range(near_count):
@@ -583,15 +590,13 @@ def pair_rates(
             dashpot = damping * depth**indentation_exponent
             m = partner[f, q]
             weight = 2.0 * share * areas[f, q]
-            if m < 0:
-                weight *= 2.0
-            elif press > 0.0 and (abs(local[f, q, 0]) > 1.0 or abs(local[f, q, 1]) > 1.0):
+            if m >= 0 and press > 0.0 and _beyond(local, f, q):
                 ratio = depth / (rim_margin * halves[m])
                 spring *= max(1.0, ratio * ratio)
             shape(points[q, 0], points[q, 1], n)
             for a in range(4):
                 node = faces[f, a]
-                part = weight * n[a] * inverse_mass[node]
+                part = 2.0 * weight * n[a] * inverse_mass[node]
                 springs[node] += spring * part
                 dashpots[node] += dashpot * part
             if m < 0:
@@ -619,6 +624,7 @@ def allowed_depths(
     counted: Any,
     masters: Any,
     partner: Any,
+    local: Any,
     gap: Any,
     offset: Any,
     margin: float,
@@ -635,8 +641,9 @@ def allowed_depths(
     (node_count,), see `pair_rates`, at `margin` [m] beyond their depth less their `offset`. Beside
     what `elements` (node_count,) [1/s2] ask for, those may grow until ``elements + springs + omega
     dashpots`` of a node is ``omega**2`` [1/s2]: the row sums of ``K + omega C`` bound the
-    frequency. They grow with the depth to the power `growth` at most. Points of other faces have no
-    share: they may not touch.
+    frequency. They grow with the depth to the power `growth`, beyond a rim to that of two more. A
+    point without a partner may go no deeper than `margin` into whatever it meets. Points of other
+    faces have no share: they may not touch.
     """
     allowed[:] = 0.0
     for k in range(counted.shape[0]):
@@ -645,12 +652,15 @@ def allowed_depths(
         for a in range(4):
             own = min(own, _room(faces[f, a], springs, dashpots, elements, omega))
         for q in range(gap.shape[1]):
-            room = own
+            room = own if partner[f, q] >= 0 else 1.0
+            power = growth
             if partner[f, q] >= 0:
                 for a in range(4):
                     node = masters[partner[f, q], a]
                     room = min(room, _room(node, springs, dashpots, elements, omega))
-            scale = max(room, 1.0) ** (1.0 / growth)
+                if _beyond(local, f, q):
+                    power += 2.0
+            scale = max(room, 1.0) ** (1.0 / power)
             allowed[f, q] = scale * (margin + max(0.0, -gap[f, q] - offset[f, q]))
 
 

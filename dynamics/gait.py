@@ -784,8 +784,10 @@ class Move:
                 f"a move of legs {name} begins either at a time or at a turn of the robot", _WHERE
             )
         for key, value in (("start", self.start), ("turn", self.turn)):
-            if value is not None:
-                check_finite(key, value, "s" if key == "start" else "rad", _WHERE)
+            if value is not None and not check_finite(f"{key} of legs {name}", value) >= 0.0:
+                raise InputError(f"{key} of a move of legs {name} must be >= 0", _WHERE)
+        if len(set(self.legs)) < len(self.legs):
+            raise InputError(f"a move names one of legs {name} twice", _WHERE)
         for key, array in (("times", times), ("angles", angles)):
             array.flags.writeable = False
             object.__setattr__(self, key, array)

@@ -20,7 +20,7 @@ KG_CM = 0.0980665  # [N m]
 
 
 class Targets(Protocol):
-    """What the servos aim at: a pure function of time."""
+    """What the servos aim at as a pure function of time."""
 
     def targets(self, time: float) -> np.ndarray:
         """Angles [rad], shape (joint_count,)."""
@@ -35,7 +35,8 @@ class Targets(Protocol):
 class Sensing(Protocol):
     """What servos aim at that feel how far the robot has rolled.
 
-    What has begun of it is part of the joints' state: "begun", as `nothing_begun` makes it.
+    What has begun of it is part of the joints' state: "begun", as `nothing_begun` makes it. Without
+    it angles and rates are those of before the first moment.
     """
 
     def nothing_begun(self) -> np.ndarray:
@@ -281,6 +282,17 @@ class JointSystem:
         )
 
     @property
+    def command(self) -> Targets | Sensing:
+        """What the servos aim at."""
+        return self._command
+
+    @command.setter
+    def command(self, command: Targets | Sensing) -> None:
+        self._command = command
+        # Asked once: to look for a protocol's methods costs some microseconds.
+        self._sensing = command if isinstance(command, Sensing) else None
+
+    @property
     def count(self) -> int:
         """Number of joints."""
         return len(self.joints)
@@ -322,11 +334,11 @@ class JointSystem:
         state: JointState,
     ) -> float:
         """Fill `load` with what joints do to the bodies; returns what their springs store [J]."""
-        if isinstance(self.command, Sensing):
-            begun = self._sense(self.command, time, rigid_q, state)
-            self.target[:] = self.command.targets(time, begun)
+        if self._sensing is not None:
+            begun = self._sense(self._sensing, time, rigid_q, state)
+            self.target[:] = self._sensing.targets(time, begun)
             if self._needs_rates:
-                self.target_rate[:] = self.command.rates(time, begun)
+                self.target_rate[:] = self._sensing.rates(time, begun)
         else:
             self.target[:] = self.command.targets(time)
             if self._needs_rates:
@@ -362,7 +374,8 @@ class JointSystem:
         """What has begun of a sensing command, now that the robot has turned as it has.
 
         The turn is that of the `sensor` joint's parent about y, counted on over whole turns: "turn"
-        (2,) [rad] of the state, now and at the first moment.
+        (2,) [rad] of the state, now and at the first moment. A heading does not disturb it, but for
+        one of half a turn, where it is undefined.
         """
         w, _, y, _ = rigid_q[self.bodies[self.sensor, 0]]
         turn = 2.0 * math.atan2(y, w)

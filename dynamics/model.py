@@ -476,6 +476,8 @@ class State:
         if self.joints:
             self.joints["spent"][:] = 0.0
             self.joints["motion"][:, joint_kernels.RATE] = 0.0
+            for key in ("begun", "turn"):  # what a sensing gait has begun
+                self.joints.pop(key, None)
         for array in (self.v, self.rigid_v, self.rigid_l, self.works):
             array[:] = 0.0
         self.interval = self.step_count = 0

@@ -378,6 +378,7 @@ class SurfaceContact:
                 self._counted(history, k, margin),
                 p.masters,
                 history[f"partner{k}"],
+                history[f"local{k}"],
                 history[f"gap{k}"],
                 history[f"offset{k}"],
                 margin,

@@ -415,6 +415,9 @@ def test_arrays_cannot_be_spoiled() -> None:
         (lambda: move("12", (0, 0), start=1.0, turn=1.0), "either at a time or at a turn"),
         (lambda: move("12", (1, 0), start=1.0), "ascend from 0"),
         (lambda: move("78", (0, 0), start=1.0), "named by digits"),
+        (lambda: move("33", (0, 0), start=1.0), "names one of legs 33 twice"),
+        (lambda: move("34", (0, 0), turn=-1.0), "turn of a move of legs 34 must be >= 0"),
+        (lambda: move("34", (0, 0), start=-1.0), "start of a move of legs 34 must be >= 0"),
     ],
 )  # fmt: skip
 def test_what_is_refused(make: Callable[[], Any], text: str) -> None:

@@ -120,6 +120,8 @@ def test_servos_feel_how_far_their_robot_has_turned(spin: float, begins: float) 
     kept = State.from_arrays(*state.to_arrays())
     np.testing.assert_array_equal(kept.joints["turn"], state.joints["turn"])
     np.testing.assert_array_equal(kept.joints["begun"], state.joints["begun"])
+    state.begin_anew()
+    assert not {"begun", "turn"} & set(state.joints)
 
 
 def momenta(model: Model, state: State) -> np.ndarray:
