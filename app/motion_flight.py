@@ -75,19 +75,16 @@ def flight_results(rows: Sequence[Mapping[str, float]], mass: float) -> dict[str
 
 
 def cycle_results(rows: Sequence[Mapping[str, float]], cycle: float) -> dict[str, Any]:
-    """Way of the centre over the ground in each whole cycle [m], its mean, and the largest.
+    """Way of the centre towards +x in each whole cycle [m], its mean, and the largest.
 
-    ``mean_speed_m_s`` is that of the whole cycles.
+    Backward it is negative. ``mean_speed_m_s`` is that of the whole cycles.
     """
     count = int((rows[-1]["time_s"] - rows[0]["time_s"]) / cycle + 1e-6)
     ends = [
         min(rows, key=lambda row: abs(row["time_s"] - rows[0]["time_s"] - k * cycle))
         for k in range(count + 1)
     ]
-    ways = [
-        1e-3 * sum((b[f"centre_{axis}_mm"] - a[f"centre_{axis}_mm"]) ** 2 for axis in "xy") ** 0.5
-        for a, b in pairwise(ends)
-    ]
+    ways = [1e-3 * (b["centre_x_mm"] - a["centre_x_mm"]) for a, b in pairwise(ends)]
     if not ways:
         return {}
     return {

@@ -565,15 +565,16 @@ def test_wedges_are_weighed_by_their_shape() -> None:
 
 
 def test_ways_of_cycles() -> None:
-    """Three cycles of 30, 40 and 50 mm, and half of one that does not count."""
-    ends = [0.0, 30.0, 70.0, 120.0, 125.0]
+    """Three cycles of 30, -10 and 50 mm, and half of one that does not count."""
+    ends = [0.0, 30.0, 20.0, 70.0, 75.0]
     rows = [
         {"time_s": 2.0 * t, "centre_x_mm": x, "centre_y_mm": 0.0}
         for t, x in zip((0.0, 1.0, 2.0, 3.0, 3.5), ends, strict=True)
     ]
     found = cycle_results(rows, 2.0)
-    assert found["displacement_of_cycles_m"] == pytest.approx([0.03, 0.04, 0.05])
-    assert found["displacement_per_cycle_m"] == pytest.approx(0.04)
+    assert found["displacement_of_cycles_m"] == pytest.approx([0.03, -0.01, 0.05])
+    assert found["displacement_per_cycle_m"] == pytest.approx(0.07 / 3.0)
+    assert found["mean_speed_m_s"] == pytest.approx(0.07 / 6.0)
     assert found["largest_displacement_of_a_cycle_m"] == pytest.approx(0.05)
     assert cycle_results(rows, 100.0) == {}
 
