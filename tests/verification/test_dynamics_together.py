@@ -166,10 +166,9 @@ def test_everything_at_once_acts_and_the_books_close() -> None:
     assert list(state.whole) == [True, False]
     assert work.chamber_pressure[0] == 800.0 and work.chamber_pressure[1] > 100.0
     # In the blow of the foot contact holds a third of the turnover for a few hundred steps; what
-    # the scheme fails to resolve of it comes back. Measured 9e-4 at most and at the end (1.3e-2 and
-    # 4e-3 at 0.9 of the stable step, 7e-4 and 4e-4 at a quarter of it); what smaller steps leave is
-    # the fading over rims, which has no potential. Six and twice that: another rounding, another
-    # motion.
+    # the scheme fails to resolve of it comes back. Measured 1e-3 at most and 6e-4 at the end; till
+    # rims had a potential 9e-4 and 9e-4, and then 1.3e-2 and 4e-3 at 0.9 of the stable step, 7e-4
+    # and 4e-4 at a quarter of it. Five and three times that: another rounding, another motion.
     assert rest < 5e-3 * turnover
     assert abs(last.unaccounted) < 2e-3 * turnover
 
