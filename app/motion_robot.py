@@ -168,21 +168,17 @@ class LegTargets:
     gait: Any
     rows: np.ndarray  # of the gait's six, shape (joint_count,)
 
-    def targets(self, time: float) -> np.ndarray:
+    def targets(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """Angles [rad], shape (joint_count,)."""
-        return np.asarray(self.gait.targets(time))[self.rows]
+        return np.asarray(self.gait.targets(time, *begun))[self.rows]
 
-    def rates(self, time: float) -> np.ndarray:
+    def rates(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """Their rates [rad/s], shape (joint_count,)."""
-        return np.asarray(self.gait.rates(time))[self.rows]
+        return np.asarray(self.gait.rates(time, *begun))[self.rows]
 
 
-@dataclass(frozen=True)
-class SensedTargets:
-    """What the servos of some legs aim at: their part of a gait that feels the robot's turn."""
-
-    gait: Any
-    rows: np.ndarray  # of the gait's six, shape (joint_count,)
+class SensedTargets(LegTargets):
+    """The same of a gait that feels the robot's turn."""
 
     def nothing_begun(self) -> np.ndarray:
         """See `joints.Sensing`."""
@@ -192,14 +188,6 @@ class SensedTargets:
         """See `joints.Sensing`."""
         self.gait.sense(time, turn, begun)
 
-    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """See `joints.Sensing`."""
-        return np.asarray(self.gait.targets(time, begun))[self.rows]
-
-    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """See `joints.Sensing`."""
-        return np.asarray(self.gait.rates(time, begun))[self.rows]
-
 
 @dataclass(frozen=True)
 class HeldTargets:
@@ -207,18 +195,19 @@ class HeldTargets:
 
     angles: np.ndarray
 
-    def targets(self, time: float) -> np.ndarray:
+    def targets(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """See `joints.Targets`."""
         return self.angles
 
-    def rates(self, time: float) -> np.ndarray:
+    def rates(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """See `joints.Targets`."""
         return np.zeros_like(self.angles)
 
 
 def make_joints(loaded: LoadedCase, legs: Legs, rigid: RigidParts) -> JointSystem:
     """The joints with the case's gait."""
-    from flexapod.dynamics.gait import PAIRS, GaitSensed
+    from flexapod.dynamics.gait import PAIRS
+    from flexapod.dynamics.gait_tables import GaitSensed
     from flexapod.dynamics.joints import JointSystem
 
     spec = loaded.case.gait
@@ -237,18 +226,17 @@ def make_joints(loaded: LoadedCase, legs: Legs, rigid: RigidParts) -> JointSyste
 
 def _check_alike(gait: Any, where: str) -> None:
     """Of half a robot left and right legs must do the same."""
-    from flexapod.dynamics.gait import GaitSensed
+    from flexapod.dynamics.gait import PAIRS
+    from flexapod.dynamics.gait_tables import GaitSensed
 
     if isinstance(gait, GaitSensed):
-        alone = [
-            m.legs for m in gait.moves if {leg + leg % 2 * 2 - 1 for leg in m.legs} - {*m.legs}
-        ]
-        if alone:
-            raise InputError(
-                "half of a robot is modelled, and a move of it names legs "
-                f"{''.join(map(str, alone[0]))} without those on the other side",
-                where,
-            )
+        for move in gait.moves:
+            if any(len({*pair} & {*move.legs}) == 1 for pair in PAIRS.values()):
+                raise InputError(
+                    "half of a robot is modelled, and a move of it names legs "
+                    f"{''.join(map(str, move.legs))} without those on the other side",
+                    where,
+                )
         return
     period = gait.period if math.isfinite(gait.period) else 1.0
     end = gait.end if math.isfinite(gait.end) else 3.0 * period

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from flexapod.app.spec_base import Table, default_text, one_or_many
@@ -12,15 +11,8 @@ from flexapod.core.errors import InputError
 from flexapod.core.units import Angle, PositiveTime, Time
 
 if TYPE_CHECKING:
-    from flexapod.dynamics.gait import (
-        Gait,
-        GaitHold,
-        GaitPairs,
-        GaitPronk,
-        GaitSensed,
-        GaitTable,
-        GaitWalk,
-    )
+    from flexapod.dynamics.gait import Gait, GaitHold, GaitPairs, GaitPronk, GaitWalk
+    from flexapod.dynamics.gait_tables import GaitSensed, GaitTable
 
 
 def _not_negative(value: float) -> float:
@@ -299,7 +291,7 @@ class GaitTableSpec(_Started):
 
     def gait(self) -> GaitTable:
         """See `GaitTable.of_legs`."""
-        from flexapod.dynamics.gait import GaitTable
+        from flexapod.dynamics.gait_tables import GaitTable
 
         return GaitTable.of_legs(self.legs, repeat=self.repeat, start=self.start)
 
@@ -329,16 +321,11 @@ class GaitSensedSpec(_GaitTableBase):
 
     def gait(self) -> GaitSensed:
         """See `GaitSensed`."""
-        from flexapod.dynamics.gait import GaitSensed, Move
+        from flexapod.dynamics.gait_tables import GaitSensed, Move
 
-        moves = []
-        for spec in self.move:
-            if not spec.legs or not set(spec.legs) <= set("123456"):
-                raise InputError(f'legs are named by digits, such as "34", got "{spec.legs}"')
-            rows = np.array(spec.angles, dtype=float).reshape(-1, 2)
-            legs = tuple(map(int, spec.legs))
-            moves.append(Move(legs, rows[:, 0], rows[:, 1], spec.start, spec.turn))
-        return GaitSensed(tuple(moves))
+        return GaitSensed(
+            tuple(Move.of_legs(m.legs, m.angles, start=m.start, turn=m.turn) for m in self.move)
+        )
 
 
 class GaitHoldSpec(_GaitTableBase):

@@ -167,6 +167,12 @@ def rim_share(local: float, margin: float) -> float:
 
 
 @inline_kernel
+def face_share(xi: float, eta: float, margin: float) -> float:
+    """Share of its force a point keeps that projects to `xi` and `eta`."""
+    return rim_share(xi, margin) * rim_share(eta, margin)
+
+
+@inline_kernel
 def rim_slope(local: float, margin: float) -> float:
     """Derivative of `rim_share` by the local coordinate."""
     a = 1.0 - (abs(local) - 1.0) / margin

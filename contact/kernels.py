@@ -19,9 +19,9 @@ from flexapod.contact.face_kernels import (
     area_vector,
     choose_partner,
     depth_share,
+    face_share,
     point,
     project,
-    rim_share,
     shape,
     shape_derivatives,
     tangents,
@@ -126,11 +126,8 @@ def find_partners(
             )
             fade[f, q] = 0.0
             if partner[f, q] >= 0:
-                fade[f, q] = (
-                    rim_share(local[f, q, 0], margin)
-                    * rim_share(local[f, q, 1], margin)
-                    * depth_share(-gap[f, q], depth)
-                )
+                rim = face_share(local[f, q, 0], local[f, q, 1], margin)
+                fade[f, q] = rim * depth_share(-gap[f, q], depth)
 
 
 @parallel_kernel

@@ -1,5 +1,8 @@
 """Gaits of a six-legged robot: the angle each leg shall have, as a function of time alone.
 
+Gaits by numbers, the last of which may also feel how far the robot has rolled, are in
+`dynamics.gait_tables`.
+
 Convention. A leg's angle theta [rad] is measured from the vertical: 0 points straight down, pi
 straight up. Positive is the sense of walking forward (+x): the foot comes down in front
 (theta < 0), passes below (0) and goes to the back (theta > 0); it is a right-handed turn about
@@ -20,7 +23,7 @@ mobile hexapod robot, Int. J. Robotics Research 20 (2001) 616-631, doi:10.1177/0
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -36,9 +39,7 @@ TRIPODS = {
     "left": (0.0, 0.5, 0.5, 0.0, 0.0, 0.5),
     "right": (0.5, 0.0, 0.0, 0.5, 0.5, 0.0),
 }
-_WHERE = "gait"
-# A table's end may miss its beginning by the round-off of angles written in degrees [rad].
-_SAME_ANGLE = 1e-9
+WHERE = "gait"  # what is wrong, in errors
 
 Lead = Literal["left", "right"]
 Reversal = Literal["mirrored", "same"]
@@ -71,23 +72,23 @@ def _check_extent(extent: float) -> None:
         raise InputError(
             f"extent must lie between 0 and 360 deg, got {math.degrees(extent):g} deg: it is the "
             "part of the turn that takes slow_time",
-            _WHERE,
+            WHERE,
         )
 
 
 def _check_times(period: float, slow_time: float) -> None:
-    check_positive("period", period, "s", _WHERE)
+    check_positive("period", period, "s", WHERE)
     if not 0.0 < slow_time < period:
         raise InputError(
             f"slow_time must lie between 0 and the period of {period:g} s, got {slow_time:g} s: "
             "shorten it, or turn_time if the gait turns",
-            _WHERE,
+            WHERE,
         )
 
 
 def _check_choice(name: str, value: object, known: Sequence[object]) -> None:
     if value not in known:
-        raise InputError(f"{name} must be one of {', '.join(map(str, known))}, got {value}", _WHERE)
+        raise InputError(f"{name} must be one of {', '.join(map(str, known))}, got {value}", WHERE)
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class TwoPhaseClock:
 
     def __post_init__(self) -> None:
         _check_extent(self.extent)
-        check_finite("centre", self.centre, "rad", _WHERE)
+        check_finite("centre", self.centre, "rad", WHERE)
         _check_times(self.period, self.slow_time)
 
     @property
@@ -206,21 +207,21 @@ class GaitWalk:
             raise InputError(
                 f"the sides must have one period, got {self.left.period:g} s on the left and "
                 f"{self.right.period:g} s on the right: they would fall out of step",
-                _WHERE,
+                WHERE,
             )
         if len(self.phases) != LEG_COUNT or not all(0.0 <= phase < 1.0 for phase in self.phases):
             raise InputError(
                 f"phases must be six numbers >= 0 and < 1, one per leg in periods, got "
                 f"{list(self.phases)}",
-                _WHERE,
+                WHERE,
             )
         if len(self.directions) != 2 or any(way not in (1, -1) for way in self.directions):
             raise InputError(
-                f"directions must be two of 1 and -1, left and right, got {self.directions}", _WHERE
+                f"directions must be two of 1 and -1, left and right, got {self.directions}", WHERE
             )
         _check_choice("reversal", self.reversal, ("mirrored", "same"))
-        check_finite("start_angle", self.start_angle, "rad", _WHERE)
-        check_finite("start", self.start, "s", _WHERE)
+        check_finite("start_angle", self.start_angle, "rad", WHERE)
+        check_finite("start", self.start, "s", WHERE)
         period = self.period
         sides = [self._pass_time(side) for side in range(2)]
         # Sides that pass the start angle at nearly the same time are not a period apart.
@@ -374,8 +375,8 @@ def _turning(
     turn_time: float,
 ) -> tuple[TwoPhaseClock, TwoPhaseClock]:
     """Clocks of the left and the right side, the offsets added on the left."""
-    check_finite("turn_centre", turn_centre, "rad", _WHERE)
-    check_finite("turn_time", turn_time, "s", _WHERE)
+    check_finite("turn_centre", turn_centre, "rad", WHERE)
+    check_finite("turn_time", turn_time, "s", WHERE)
     return (
         TwoPhaseClock(extent, centre + turn_centre, period, slow_time + turn_time),
         TwoPhaseClock(extent, centre - turn_centre, period, slow_time - turn_time),
@@ -421,12 +422,12 @@ class GaitPronk:
 
     def __post_init__(self) -> None:
         _check_extent(self.extent)
-        check_finite("centre", self.centre, "rad", _WHERE)
+        check_finite("centre", self.centre, "rad", WHERE)
         _check_times(self.period, self.slow_time)
         _check_choice("stroke", self.stroke, ("rest", "slow_time"))
         _check_choice("profile", self.profile, ("linear", "smooth"))
         _check_choice("begins", self.begins, ("back", "front"))
-        check_finite("start", self.start, "s", _WHERE)
+        check_finite("start", self.start, "s", WHERE)
 
     @property
     def end(self) -> float:
@@ -513,38 +514,38 @@ class GaitPairs:
     returns: Literal["back", "onward"] = "back"
 
     def __post_init__(self) -> None:
-        check_positive("interval", self.interval, "s", _WHERE)
-        check_positive("down_time", self.down_time, "s", _WHERE)
-        check_positive("up_time", self.up_time, "s", _WHERE)
+        check_positive("interval", self.interval, "s", WHERE)
+        check_positive("down_time", self.down_time, "s", WHERE)
+        check_positive("up_time", self.up_time, "s", WHERE)
         if not (math.isfinite(self.hold_time) and self.hold_time >= 0.0):
-            raise InputError(f"hold_time must be finite and >= 0, got {self.hold_time:g} s", _WHERE)
+            raise InputError(f"hold_time must be finite and >= 0, got {self.hold_time:g} s", WHERE)
         unknown = [name for name in self.order if name not in PAIRS]
         if unknown or not self.order or len(set(self.order)) != len(self.order):
             raise InputError(
                 f"order must name different ones of {', '.join(PAIRS)}, got {list(self.order)}",
-                _WHERE,
+                WHERE,
             )
-        check_finite("start", self.start, "s", _WHERE)
+        check_finite("start", self.start, "s", WHERE)
         if self.rounds < 1:
             raise InputError(
                 f"rounds must be at least 1, got {self.rounds}: leave the legs be with a gait that "
                 "holds them",
-                _WHERE,
+                WHERE,
             )
-        check_finite("rest_angle", self.rest_angle, "rad", _WHERE)
-        check_finite("push_angle", self.push_angle, "rad", _WHERE)
+        check_finite("rest_angle", self.rest_angle, "rad", WHERE)
+        check_finite("push_angle", self.push_angle, "rad", WHERE)
         if not 0.0 < abs(self.push_angle - self.rest_angle) < TURN:
             raise InputError(
                 "rest_angle and push_angle must differ by less than a turn, got "
                 f"{math.degrees(self.rest_angle):g} deg and {math.degrees(self.push_angle):g} deg",
-                _WHERE,
+                WHERE,
             )
         _check_choice("returns", self.returns, ("back", "onward"))
         if self.rounds > 1 and self.push_time > self.period:
             raise InputError(
                 f"a pair moves for {self.push_time:g} s, but its next round begins after "
                 f"{self.period:g} s: shorten down_time, hold_time or up_time, or lengthen interval",
-                _WHERE,
+                WHERE,
             )
 
     @property
@@ -600,292 +601,13 @@ class GaitPairs:
 
 
 @dataclass(frozen=True)
-class GaitTable:
-    """Angles at given times, linear between them.
-
-    Attributes
-    ----------
-    times
-        [s] after `start`, ascending from 0, at least two, shape (N,).
-    angles
-        [rad], shape (N, 6).
-    repeat
-        Whether it begins anew at its last time; each leg must then end where it began, or whole
-        turns on, and goes on from there. Otherwise the legs stay at the end.
-    start
-        [s]; before, the legs are held at the first angles.
-    """
-
-    times: np.ndarray
-    angles: np.ndarray
-    repeat: bool = False
-    start: float = 0.0
-    _advance: np.ndarray = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        times = np.array(self.times, dtype=float)
-        angles = np.array(self.angles, dtype=float)
-        if times.ndim != 1 or times.size < 2 or angles.shape != (times.size, LEG_COUNT):
-            raise InputError(
-                f"a table must have at least two times and six angles for each, ({times.size}, 6), "
-                f"got {angles.shape}",
-                _WHERE,
-            )
-        _check_ascending(times, "times")
-        if not np.isfinite(angles).all():
-            raise InputError("the angles of a table must be finite", _WHERE)
-        check_finite("start", self.start, "s", _WHERE)
-        way = angles[-1] - angles[0]
-        advance = TURN * np.round(way / TURN)
-        off = np.abs(way - advance)
-        if self.repeat and not (off < _SAME_ANGLE).all():
-            leg = int(np.argmax(off))
-            raise InputError(
-                "a table that repeats must end where it begins, or whole turns on; leg "
-                f"{leg + 1} begins at {math.degrees(angles[0, leg]):g} deg and ends at "
-                f"{math.degrees(angles[-1, leg]):g} deg",
-                _WHERE,
-            )
-        for array in (times, angles, advance):
-            array.flags.writeable = False
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "angles", angles)
-        object.__setattr__(self, "_advance", advance)
-
-    @classmethod
-    def of_legs(
-        cls,
-        points: Mapping[str, Sequence[tuple[float, float]]],
-        *,
-        repeat: bool = False,
-        start: float = 0.0,
-    ) -> GaitTable:
-        """A table from one list of times and angles per leg, or per group of legs.
-
-        Parameters
-        ----------
-        points
-            By the digits of the legs, for example "145", pairs of time [s] and angle [rad], the
-            times ascending from 0. Each leg must be named once. A leg whose list ends early
-            stays.
-        repeat, start
-            See `GaitTable`.
-        """
-        lists: dict[int, np.ndarray] = {}
-        for name, pairs in points.items():
-            if not name or not set(name) <= set("123456"):
-                raise InputError(f'legs are named by digits, such as "145", got "{name}"', _WHERE)
-            rows = np.array(pairs, dtype=float)
-            if rows.ndim != 2 or rows.shape[1] != 2:
-                raise InputError(f"legs {name} need pairs of time and angle, got {pairs}", _WHERE)
-            _check_ascending(rows[:, 0], f"times of legs {name}")
-            for leg in map(int, name):
-                if leg in lists:
-                    raise InputError(f"leg {leg} is named twice: give it one list", _WHERE)
-                lists[leg] = rows
-        missing = [str(leg) for leg in range(1, LEG_COUNT + 1) if leg not in lists]
-        if missing:
-            raise InputError(
-                f"the table leaves out legs {', '.join(missing)}: one that shall stay has a single "
-                "pair, such as 0 s and its angle",
-                _WHERE,
-            )
-        times = np.unique(np.concatenate([rows[:, 0] for rows in lists.values()]))
-        if times.size == 1:
-            raise InputError(
-                "no leg of the table moves: give a second time, or hold the legs", _WHERE
-            )
-        columns = [
-            np.interp(times, lists[leg][:, 0], lists[leg][:, 1]) for leg in range(1, LEG_COUNT + 1)
-        ]
-        return cls(times, np.column_stack(columns), repeat, start)
-
-    @property
-    def period(self) -> float:
-        """Length of the table [s]."""
-        return float(self.times[-1])
-
-    @property
-    def end(self) -> float:
-        """When the table ends [s]; infinite if it repeats."""
-        return math.inf if self.repeat else self.start + self.period
-
-    def _place(self, time: float) -> tuple[int, int, float]:
-        """Rounds done, row before, and time since the round began [s]."""
-        since = time - self.start
-        rounds = math.floor(since / self.period) if self.repeat else 0
-        since -= rounds * self.period
-        row = int(np.searchsorted(self.times, since, side="right")) - 1
-        return rounds, min(row, self.times.size - 2), since
-
-    def _slopes(self, row: int) -> np.ndarray:
-        step = self.times[row + 1] - self.times[row]
-        return np.asarray((self.angles[row + 1] - self.angles[row]) / step)
-
-    def targets(self, time: float) -> np.ndarray:
-        """Angles [rad], shape (6,)."""
-        if time <= self.start:
-            return np.array(self.angles[0])
-        if time >= self.end:
-            return np.array(self.angles[-1])
-        rounds, row, since = self._place(time)
-        way = (since - self.times[row]) * self._slopes(row)
-        return np.asarray(self.angles[row] + way + rounds * self._advance)
-
-    def rates(self, time: float) -> np.ndarray:
-        """Derivative of `targets` [rad/s], shape (6,)."""
-        if time < self.start or time >= self.end:
-            return np.zeros(LEG_COUNT)
-        return self._slopes(self._place(time)[1])
-
-
-def _check_ascending(times: np.ndarray, name: str) -> None:
-    ascending = np.isfinite(times).all() and (np.diff(times) > 0.0).all()
-    if times.size == 0 or times[0] != 0.0 or not ascending:
-        raise InputError(
-            f"{name} must be finite and ascend from 0, got {times.tolist()} s: no leg can be at "
-            "two angles at once",
-            _WHERE,
-        )
-
-
-@dataclass(frozen=True)
-class Move:
-    """What some legs do once: angles over the time since it began.
-
-    Attributes
-    ----------
-    legs
-        Numbers 1 to 6.
-    times, angles
-        [s] ascending from 0 and [rad], shape (N,); linear between, the last angle stays.
-    start
-        When it begins [s]; None where the robot's turn says so.
-    turn
-        How far the robot has rolled forward when it begins [rad]; None where the time says so.
-    """
-
-    legs: tuple[int, ...]
-    times: np.ndarray
-    angles: np.ndarray
-    start: float | None = None
-    turn: float | None = None
-
-    def __post_init__(self) -> None:
-        name = "".join(map(str, self.legs))
-        times, angles = np.array(self.times, dtype=float), np.array(self.angles, dtype=float)
-        if not self.legs or not set(self.legs) <= set(range(1, LEG_COUNT + 1)):
-            raise InputError(f'legs are named by digits, such as "34", got "{name}"', _WHERE)
-        _check_ascending(times, f"times of a move of legs {name}")
-        if angles.shape != times.shape or not np.isfinite(angles).all():
-            raise InputError(f"a move of legs {name} needs an angle for each time", _WHERE)
-        if (self.start is None) == (self.turn is None):
-            raise InputError(
-                f"a move of legs {name} begins either at a time or at a turn of the robot", _WHERE
-            )
-        for key, value in (("start", self.start), ("turn", self.turn)):
-            if value is not None and not check_finite(f"{key} of legs {name}", value) >= 0.0:
-                raise InputError(f"{key} of a move of legs {name} must be >= 0", _WHERE)
-        if len(set(self.legs)) < len(self.legs):
-            raise InputError(f"a move names one of legs {name} twice", _WHERE)
-        for key, array in (("times", times), ("angles", angles)):
-            array.flags.writeable = False
-            object.__setattr__(self, key, array)
-
-
-@dataclass(frozen=True)
-class GaitSensed:
-    """Moves that begin at a time, or when the robot has rolled so far: it feels its own turn.
-
-    What has begun is no function of time, so it is kept outside: `begun` (move_count,), the times
-    when moves began [s], infinite where they have not. A move begins once, and not before the moves
-    named earlier of the same legs have ended.
-    """
-
-    moves: tuple[Move, ...]
-
-    def __post_init__(self) -> None:
-        ends: dict[int, float] = {}
-        for move in self.moves:
-            for leg in move.legs:
-                if abs(ends.get(leg, move.angles[0]) - move.angles[0]) > _SAME_ANGLE:
-                    raise InputError(
-                        f"leg {leg} ends a move at {math.degrees(ends[leg]):g} deg and begins the "
-                        f"next one at {math.degrees(move.angles[0]):g} deg: no leg can jump",
-                        _WHERE,
-                    )
-                ends[leg] = float(move.angles[-1])
-        missing = [str(leg) for leg in range(1, LEG_COUNT + 1) if leg not in ends]
-        if missing:
-            raise InputError(
-                f"no move names legs {', '.join(missing)}: one that shall stay has a move of a "
-                "single time and angle",
-                _WHERE,
-            )
-
-    @property
-    def period(self) -> float:
-        """Infinite."""
-        return math.inf
-
-    @property
-    def end(self) -> float:
-        """Infinite: the robot may go on to turn."""
-        return math.inf
-
-    def nothing_begun(self) -> np.ndarray:
-        """`begun` before the first moment."""
-        return np.full(len(self.moves), math.inf)
-
-    def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
-        """Write into `begun` what begins at `time` [s] and `turn` [rad], rolled forward."""
-        free = dict.fromkeys(range(1, LEG_COUNT + 1), -math.inf)  # when a leg's moves have ended
-        for k, move in enumerate(self.moves):
-            ready = max(free[leg] for leg in move.legs)
-            if begun[k] == math.inf and time >= ready:
-                if move.start is not None and time >= move.start:
-                    begun[k] = max(move.start, ready)
-                elif move.turn is not None and turn >= move.turn:
-                    begun[k] = time
-            for leg in move.legs:
-                free[leg] = begun[k] + move.times[-1]
-
-    def _legs(self, time: float, begun: np.ndarray | None, rates: bool) -> np.ndarray:
-        """Angles or rates of all legs; without `begun` those of before the first moment."""
-        result = np.full(LEG_COUNT, math.nan)
-        for k, move in enumerate(self.moves):
-            since = -1.0 if begun is None else time - float(begun[k])
-            first = [leg for leg in move.legs if math.isnan(result[leg - 1])]
-            legs = move.legs if since >= 0.0 else first
-            row = int(np.searchsorted(move.times, since, side="right")) - 1
-            if not rates:
-                value = float(np.interp(since, move.times, move.angles))
-            elif 0 <= row < move.times.size - 1:
-                way = move.angles[row + 1] - move.angles[row]
-                value = float(way / (move.times[row + 1] - move.times[row]))
-            else:
-                value = 0.0
-            for leg in legs:
-                result[leg - 1] = value
-        return result
-
-    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """Angles [rad], shape (6,)."""
-        return self._legs(time, begun, rates=False)
-
-    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """Derivative of `targets` [rad/s], shape (6,)."""
-        return self._legs(time, begun, rates=True)
-
-
-@dataclass(frozen=True)
 class GaitHold:
     """All legs stay at one angle [rad]."""
 
     angle: float = math.pi
 
     def __post_init__(self) -> None:
-        check_finite("angle", self.angle, "rad", _WHERE)
+        check_finite("angle", self.angle, "rad", WHERE)
 
     @property
     def period(self) -> float:
@@ -914,9 +636,6 @@ __all__ = [
     "GaitHold",
     "GaitPairs",
     "GaitPronk",
-    "GaitSensed",
-    "GaitTable",
     "GaitWalk",
-    "Move",
     "TwoPhaseClock",
 ]

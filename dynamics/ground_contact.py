@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from flexapod.contact import ground_kernels, kernels, track_kernels
+from flexapod.contact import ground_kernels, kernels, rate_kernels
 from flexapod.contact.ground import Ground, Plane
 from flexapod.contact.law import ContactLaw
 from flexapod.core.errors import InputError, SolverError, Status
@@ -242,7 +242,7 @@ class GroundContact:
         if curved:
             springs, dashpots = np.zeros((2, len(self.curve_nodes)))
             inverse_mass = np.ones(len(self.curve_nodes))
-        track_kernels.contact_rates(
+        rate_kernels.contact_rates(
             self.faces,
             history["active"],
             int(history["count"][0]),

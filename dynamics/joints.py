@@ -20,23 +20,23 @@ KG_CM = 0.0980665  # [N m]
 
 
 class Targets(Protocol):
-    """What the servos aim at as a pure function of time."""
+    """What the servos aim at: of time alone, but for a `Sensing` one."""
 
-    def targets(self, time: float) -> np.ndarray:
+    def targets(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """Angles [rad], shape (joint_count,)."""
         ...
 
-    def rates(self, time: float) -> np.ndarray:
+    def rates(self, time: float, *begun: np.ndarray) -> np.ndarray:
         """Their rates [rad/s], shape (joint_count,)."""
         ...
 
 
 @runtime_checkable
-class Sensing(Protocol):
+class Sensing(Targets, Protocol):
     """What servos aim at that feel how far the robot has rolled.
 
-    What has begun of it is part of the joints' state: "begun", as `nothing_begun` makes it. Without
-    it angles and rates are those of before the first moment.
+    What has begun of it is part of the joints' state: "begun", as `nothing_begun` makes it, and
+    given with the time. Without it angles and rates are those of before the first moment.
     """
 
     def nothing_begun(self) -> np.ndarray:
@@ -45,14 +45,6 @@ class Sensing(Protocol):
 
     def sense(self, time: float, turn: float, begun: np.ndarray) -> None:
         """Write into `begun` what begins at `time` [s] and `turn` [rad]."""
-        ...
-
-    def targets(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """Angles [rad], shape (joint_count,)."""
-        ...
-
-    def rates(self, time: float, begun: np.ndarray | None = None) -> np.ndarray:
-        """Their rates [rad/s], shape (joint_count,)."""
         ...
 
 
@@ -192,7 +184,7 @@ class JointSystem:
         joints: Sequence[Joint],
         bodies: RigidBodies,
         centres: np.ndarray,
-        command: Targets | Sensing,
+        command: Targets,
         sensor: int = 0,
     ) -> None:
         self.joints = tuple(joints)
@@ -282,12 +274,12 @@ class JointSystem:
         )
 
     @property
-    def command(self) -> Targets | Sensing:
+    def command(self) -> Targets:
         """What the servos aim at."""
         return self._command
 
     @command.setter
-    def command(self, command: Targets | Sensing) -> None:
+    def command(self, command: Targets) -> None:
         self._command = command
         # Asked once: to look for a protocol's methods costs some microseconds.
         self._sensing = command if isinstance(command, Sensing) else None
@@ -334,15 +326,11 @@ class JointSystem:
         state: JointState,
     ) -> float:
         """Fill `load` with what joints do to the bodies; returns what their springs store [J]."""
-        if self._sensing is not None:
-            begun = self._sense(self._sensing, time, rigid_q, state)
-            self.target[:] = self._sensing.targets(time, begun)
-            if self._needs_rates:
-                self.target_rate[:] = self._sensing.rates(time, begun)
-        else:
-            self.target[:] = self.command.targets(time)
-            if self._needs_rates:
-                self.target_rate[:] = self.command.rates(time)
+        sensing = self._sensing
+        begun = () if sensing is None else (self._sense(sensing, time, rigid_q, state),)
+        self.target[:] = self.command.targets(time, *begun)
+        if self._needs_rates:
+            self.target_rate[:] = self.command.rates(time, *begun)
         joint_kernels.spins(
             rigid.inertia, rigid.free, rigid_q, rigid_l, self.rotation, self.omega_before
         )

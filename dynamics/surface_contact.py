@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from flexapod.contact import kernels, track_kernels
+from flexapod.contact import kernels, rate_kernels, track_kernels
 from flexapod.contact.law import ContactLaw, FrictionLaw
 from flexapod.dynamics.contacts import (
     DEPTH,
@@ -327,7 +327,7 @@ class SurfaceContact:
         law = self.law
         for k, p in enumerate(self.passes):
             near = self._counted(history, k, margin)
-            track_kernels.pair_rates(
+            rate_kernels.pair_rates(
                 p.slaves,
                 near,
                 near.size,
@@ -373,7 +373,7 @@ class SurfaceContact:
         """See `DynamicContact`."""
         growth = max(self.law.stiffness_exponent - 1.0, self.law.indentation_exponent)
         for k, p in enumerate(self.passes):
-            track_kernels.allowed_depths(
+            rate_kernels.allowed_depths(
                 p.slaves,
                 self._counted(history, k, margin),
                 p.masters,

@@ -15,12 +15,10 @@ from flexapod.dynamics.gait import (
     GaitHold,
     GaitPairs,
     GaitPronk,
-    GaitSensed,
-    GaitTable,
     GaitWalk,
-    Move,
     TwoPhaseClock,
 )
+from flexapod.dynamics.gait_tables import GaitSensed, GaitTable, Move
 
 DEG = math.pi / 180.0
 PAPER = (60 * DEG, 30 * DEG, 3.0, 1.2)  # {theta_s, theta_0, t_c, t_s} of figure 8a
@@ -310,9 +308,8 @@ def move(
     legs: str, *points: tuple[float, float], start: float | None = None, turn: float | None = None
 ) -> Move:
     """A move by digits, degrees and seconds."""
-    rows = np.array(points)
     turned = None if turn is None else turn * DEG
-    return Move(tuple(map(int, legs)), rows[:, 0], rows[:, 1] * DEG, start, turned)
+    return Move.of_legs(legs, [(t, a * DEG) for t, a in points], start=start, turn=turned)
 
 
 def test_moves_begin_by_time_or_by_turn_and_in_their_order() -> None:
